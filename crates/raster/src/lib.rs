@@ -9,6 +9,7 @@
 
 pub mod error;
 pub mod eval;
+pub mod io;
 pub mod pose;
 pub mod rotation;
 

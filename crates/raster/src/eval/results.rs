@@ -7,6 +7,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+pub use crate::io::input::InputFile;
+
 /// Name and version of the JSON layout.
 pub const SCHEMA: &str = "dronepose-eval/1";
 
@@ -45,8 +47,11 @@ pub struct Evaluation {
     pub inputs: Inputs,
     /// Every choice that influences a number.
     pub settings: Settings,
-    /// What the user should know; each is one sentence.
+    /// What the user should know; each is one sentence. `--strict` makes the first an error.
     pub warnings: Vec<String>,
+    /// What was left out by default, and how to get it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
 }
 
 /// Mean, spread and order statistics of an error over the matched samples.
@@ -385,19 +390,6 @@ pub struct Inputs {
     /// The camera, if it came from a file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<InputFile>,
-}
-
-/// One file that was read.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct InputFile {
-    /// Path as given.
-    pub path: String,
-    /// `csv`, `bop-csv`, `bop-json`, `speed-csv`, `speed-json`, `obj`, `ply`, `stl`, `json`, `array`.
-    pub format: String,
-    /// SHA-256 of the bytes as read from disk, in hexadecimal.
-    pub sha256: String,
-    /// Size in bytes as read from disk.
-    pub bytes: u64,
 }
 
 /// Every choice that influences a number.

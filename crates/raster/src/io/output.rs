@@ -1,0 +1,139 @@
+//! Writing results so that a file is either whole or not there.
+//!
+//! Every output is first written beside its target, and all of them are renamed together at the
+//! end; a failure or an interrupt before that leaves nothing behind.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use tempfile::TempPath;
+
+use crate::error::{Error, Result};
+
+/// Unfinished files of this process, for [`remove_unfinished`].
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Delete the unfinished outputs of this process: what an interrupt handler calls before it exits.
+pub fn remove_unfinished() {
+    let mut paths = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+    for path in paths.drain(..) {
+        // Best effort: the process is about to end.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+/// Outputs that wait to be renamed into place.
+#[derive(Debug, Default)]
+pub struct Outputs {
+    staged: Vec<(TempPath, PathBuf)>,
+}
+
+impl Outputs {
+    /// Write one output beside `target`. A target that exists and is no regular file (a pipe,
+    /// `/dev/stdout`) is written directly.
+    ///
+    /// # Errors
+    /// [`Error::Write`] naming the target; a directory is refused.
+    pub fn write(
+        &mut self,
+        target: &Path,
+        content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<()> {
+        let fail = |source| Error::Write { path: target.to_owned(), source };
+        match std::fs::metadata(target) {
+            Ok(meta) if meta.is_dir() => {
+                return Err(fail(io::Error::new(io::ErrorKind::IsADirectory, "it is a directory")));
+            }
+            Ok(meta) if !meta.is_file() => {
+                let mut writer = BufWriter::new(File::create(target).map_err(fail)?);
+                content(&mut writer).and_then(|()| writer.flush()).map_err(fail)?;
+                return Ok(());
+            }
+            _ => {}
+        }
+        // A symbolic link keeps pointing where it did: the file behind it is replaced.
+        let target = &std::fs::canonicalize(target).unwrap_or_else(|_| target.to_owned());
+        let folder = match target.parent() {
+            Some(p) if !p.as_os_str().is_empty() => p,
+            _ => Path::new("."),
+        };
+        let name = target.file_name().unwrap_or_default().to_string_lossy();
+        let mut builder = tempfile::Builder::new();
+        let prefix = format!(".{name}.");
+        builder.prefix(&prefix).suffix(".part");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            // As for any new file: the process's umask is applied to this.
+            builder.permissions(std::fs::Permissions::from_mode(0o666));
+        }
+        let file = builder.tempfile_in(folder).map_err(fail)?;
+        let (file, path) = file.into_parts();
+        UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner).push(path.to_path_buf());
+        let mut writer = BufWriter::with_capacity(1 << 18, file);
+        content(&mut writer).and_then(|()| writer.flush()).map_err(fail)?;
+        self.staged.push((path, target.clone()));
+        Ok(())
+    }
+
+    /// Move every output into its place.
+    ///
+    /// # Errors
+    /// [`Error::Write`] naming the first that could not be moved.
+    pub fn commit(self) -> Result<()> {
+        for (path, target) in self.staged {
+            let staged = path.to_path_buf();
+            path.persist(&target).map_err(|e| Error::Write { path: target, source: e.error })?;
+            UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner).retain(|p| *p != staged);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = std::fs::read_dir(folder).expect("a folder");
+        let mut names: Vec<String> = entries
+            .map(|e| e.expect("readable").file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn outputs_appear_together_or_not_at_all() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (a, b) = (folder.path().join("a.json"), folder.path().join("b.json"));
+        std::fs::write(&a, "old").expect("writable");
+        let mut outputs = Outputs::default();
+        outputs.write(&a, |w| w.write_all(b"new")).expect("writable");
+        assert_eq!(std::fs::read_to_string(&a).expect("still there"), "old");
+        outputs.write(&b, |w| w.write_all(b"b")).expect("writable");
+        outputs.commit().expect("renamed");
+        assert_eq!(std::fs::read_to_string(&a).expect("there"), "new");
+        assert_eq!(names(folder.path()), ["a.json", "b.json"]);
+    }
+
+    #[test]
+    fn a_failure_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut outputs = Outputs::default();
+        outputs.write(&folder.path().join("a"), |w| w.write_all(b"x")).expect("writable");
+        let failed = outputs.write(&folder.path().join("b"), |_| Err(io::Error::other("full")));
+        assert!(failed.expect_err("refused").to_string().contains("full"));
+        drop(outputs);
+        assert!(names(folder.path()).is_empty(), "{:?}", names(folder.path()));
+    }
+
+    #[test]
+    fn a_directory_is_refused_by_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let error = Outputs::default().write(folder.path(), |_| Ok(())).expect_err("refused");
+        assert!(error.to_string().contains("directory"), "{error}");
+    }
+}
