@@ -9,8 +9,11 @@
 
 pub mod error;
 pub mod eval;
+pub mod io;
+pub mod mesh;
 pub mod pose;
 pub mod rotation;
 
 pub use error::{Error, Place, Result};
+pub use mesh::Mesh;
 pub use pose::Pose;
