@@ -4,14 +4,17 @@
 //! a pose is `cam_from_model`; a quaternion is a unit `glam::DQuat`, and arguments name their
 //! order (`quat_wxyz`, `quat_xyzw`).
 //!
-//! Layers, each of which knows only those before it: `rotation pose camera symmetry mesh`, then
+//! Layers, each of which knows only those before it: `error rotation pose camera mesh`, then
 //! `metrics`, then `io`, then `eval`, then `report`, then `cli` and `python`.
 
 pub mod error;
 pub mod eval;
 pub mod io;
+pub mod mesh;
 pub mod pose;
 pub mod rotation;
+pub mod threads;
 
 pub use error::{Error, Place, Result};
+pub use mesh::Mesh;
 pub use pose::Pose;

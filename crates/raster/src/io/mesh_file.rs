@@ -1,0 +1,315 @@
+//! Reading a mesh in whichever of the three formats it is, and what the readers share.
+
+use std::fs;
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::{obj, ply, stl};
+use crate::error::{Error, Place, Result, quoted};
+use crate::mesh::{LARGEST_COORDINATE, Mesh};
+
+/// Reads a mesh: Wavefront OBJ, PLY or STL, by the file's extension and, where that is none of
+/// these, by how the content begins.
+///
+/// Coordinates are those of the file, in its unit; see [`Mesh::scaled`].
+///
+/// # Errors
+/// [`Error::Read`], [`Error::Malformed`] with the line, vertex or face, and what was expected.
+pub fn read_mesh(path: &Path) -> Result<Mesh> {
+    let bytes = fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    let name = path.display().to_string();
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    match extension.as_deref() {
+        Some("obj") => obj::parse_obj(&bytes, &name),
+        Some("ply") => ply::parse_ply(&bytes, &name),
+        Some("stl") => stl::parse_stl(&bytes, &name),
+        _ if ply::looks_like(&bytes) => ply::parse_ply(&bytes, &name),
+        _ if stl::looks_like(&bytes) => stl::parse_stl(&bytes, &name),
+        _ if obj::looks_like(&bytes) => obj::parse_obj(&bytes, &name),
+        _ => Err(not_a(&bytes, &name, "a mesh in the format OBJ, PLY or STL")),
+    }
+}
+
+/// The error for content that is not of the format at all.
+pub(super) fn not_a(bytes: &[u8], name: &str, expected: &str) -> Error {
+    let start = bytes.trim_ascii_start();
+    let found = if bytes.is_empty() {
+        "an empty file".into()
+    } else if start.is_empty() {
+        "nothing but blanks".into()
+    } else if start.starts_with(b"<") {
+        format!("a web page or XML, beginning with {}", quoted(first_line(start)))
+    } else if start[..start.len().min(512)].contains(&0) {
+        "binary data".into()
+    } else {
+        format!("a file beginning with {}", quoted(first_line(start)))
+    };
+    Error::malformed(Place::file(name), found, expected)
+}
+
+fn first_line(bytes: &[u8]) -> &[u8] {
+    bytes.split(|&b| b == b'\n' || b == b'\r').next().unwrap_or_default()
+}
+
+/// A position from the fields of a line; `place` is asked for only in case of an error.
+pub(super) fn position<'a>(
+    mut fields: impl Iterator<Item = &'a [u8]>,
+    place: impl Fn() -> Place,
+) -> Result<DVec3> {
+    const EXPECTED: &str = "three finite numbers";
+    let mut p = [0.0; 3];
+    for (k, c) in p.iter_mut().enumerate() {
+        let Some(field) = fields.next() else {
+            return Err(Error::malformed(place(), format!("{k} of them"), EXPECTED));
+        };
+        *c = number(field).ok_or_else(|| Error::malformed(place(), quoted(field), EXPECTED))?;
+    }
+    in_range(DVec3::from_array(p), place)
+}
+
+/// The position, if its coordinates are finite and not absurd.
+pub(super) fn in_range(p: DVec3, place: impl Fn() -> Place) -> Result<DVec3> {
+    if p.abs().to_array().iter().all(|c| *c <= LARGEST_COORDINATE) {
+        return Ok(p);
+    }
+    let found = format!("({}, {}, {})", p.x, p.y, p.z);
+    Err(Error::malformed(place(), found, "three finite numbers (up to 1e100)"))
+}
+
+/// A number in decimal notation.
+pub(super) fn number(field: &[u8]) -> Option<f64> {
+    std::str::from_utf8(field).ok()?.parse().ok()
+}
+
+/// The fields of a line, separated by blanks.
+pub(super) fn fields(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(u8::is_ascii_whitespace).filter(|f| !f.is_empty())
+}
+
+/// Physical lines with their numbers, ended by LF, CR LF, or CR in files that know no LF.
+pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (u64, &[u8])> {
+    let end = if memchr::memchr(b'\n', bytes).is_some() { b'\n' } else { b'\r' };
+    bytes.split(move |&b| b == end).zip(1..).map(|(line, number)| (number, line))
+}
+
+/// Polygons above this size are not looked at for reflex corners; no modelling tool writes one.
+const LARGEST_CLIPPED: usize = 1000;
+
+/// Triangles of a polygon given by its corners, always two fewer than corners, with its winding.
+///
+/// A fan from the first corner for a convex polygon; where it has a reflex corner a fan would
+/// cover what is outside, so ears are cut off one by one.
+pub(super) fn triangulate(vertices: &[DVec3], corners: &[u32], out: &mut Vec<[u32; 3]>) {
+    let at = |k: u32| vertices[k as usize];
+    let turn = |a, b, c| (at(b) - at(a)).cross(at(c) - at(b));
+    let mut left = corners.to_vec();
+    if corners.len() > 3 && corners.len() <= LARGEST_CLIPPED {
+        let origin = at(corners[0]);
+        // Newell's normal: right for concave polygons and ones that are not quite plane.
+        let normal: DVec3 =
+            around(corners).map(|[_, b, c]| (at(b) - origin).cross(at(c) - origin)).sum();
+        let reflex = |[a, b, c]: [u32; 3]| turn(a, b, c).dot(normal) < 0.0;
+        while left.len() > 3 && around(&left).any(reflex) {
+            let is_ear = |&k: &usize| {
+                let [a, b, c] = corner(&left, k);
+                let inside = |&p: &u32| {
+                    let sides = [(a, b), (b, c), (c, a)];
+                    ![a, b, c].contains(&p)
+                        && sides
+                            .iter()
+                            .all(|&(s, e)| (at(e) - at(s)).cross(at(p) - at(s)).dot(normal) >= 0.0)
+                };
+                turn(a, b, c).dot(normal) > 0.0 && !left.iter().any(inside)
+            };
+            // Without an ear the polygon crosses itself, and any triangles are as good.
+            let Some(ear) = (0..left.len()).find(is_ear) else { break };
+            out.push(corner(&left, ear));
+            left.remove(ear);
+        }
+    }
+    out.extend((2..left.len()).map(|k| [left[0], left[k - 1], left[k]]));
+}
+
+/// A corner between its neighbours.
+fn corner(corners: &[u32], k: usize) -> [u32; 3] {
+    let n = corners.len();
+    [corners[(k + n - 1) % n], corners[k], corners[(k + 1) % n]]
+}
+
+fn around(corners: &[u32]) -> impl Iterator<Item = [u32; 3]> {
+    (0..corners.len()).map(|k| corner(corners, k))
+}
+
+#[cfg(test)]
+pub(crate) mod shared {
+    //! The data shared beside the repository: real drones, not part of it.
+
+    use std::path::{Path, PathBuf};
+
+    /// A file of the shared data: below `DRONEPOSE_SHARED`, or `../shared` from the repository.
+    pub(crate) fn file(relative: &str) -> Option<PathBuf> {
+        let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+        let root = std::env::var_os("DRONEPOSE_SHARED").map_or_else(beside, PathBuf::from);
+        let path = root.join(relative);
+        if path.exists() {
+            return Some(path);
+        }
+        #[expect(clippy::print_stdout, reason = "a skipped test says why")]
+        {
+            println!("skipped: {} is not there (set DRONEPOSE_SHARED)", path.display());
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+
+    fn refusal(path: &Path) -> String {
+        read_mesh(path).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn what_is_no_mesh_is_refused_by_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        assert!(refusal(folder.path()).starts_with("cannot read "));
+        assert!(refusal(&folder.path().join("missing.obj")).contains("missing.obj: "));
+        let cases: [(&str, &[u8], &str); 9] = [
+            ("a.obj", b"", "a.obj: found an empty file, expected"),
+            ("b.ply", b"", "b.ply: found an empty file, expected"),
+            ("c.stl", b"", "c.stl: found an empty file, expected"),
+            ("d", b"", "d: found an empty file, expected"),
+            (
+                "e.obj",
+                b"<!DOCTYPE html>\n<p>v",
+                "e.obj: found a web page or XML, beginning with '<!DOCTYPE",
+            ),
+            ("f.stl", b"<html>", "f.stl: found a web page"),
+            ("g.ply", b"<html>", "g.ply: found a web page"),
+            ("h.dae", b"<?xml version", "expected a mesh in the format OBJ, PLY or STL"),
+            ("i.obj", b"PK\x03\x04\0\0", "i.obj: found binary data, expected"),
+        ];
+        for (name, bytes, wanted) in cases {
+            let path = folder.path().join(name);
+            fs::write(&path, bytes).expect("written");
+            let text = refusal(&path);
+            assert!(text.contains(wanted) && !text.contains('\n'), "{name}: {text}");
+        }
+    }
+
+    #[test]
+    fn a_file_without_a_known_extension_is_known_by_its_content() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let cases: [(&str, &[u8]); 3] = [
+            ("a.txt", b"# box\nv 0 0 0\nv 1 0 0\n"),
+            ("b", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"),
+            ("c.bin", b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"),
+        ];
+        for (name, bytes) in cases {
+            let path = folder.path().join(name);
+            fs::write(&path, bytes).expect("written");
+            assert!(read_mesh(&path).is_ok(), "{name}");
+        }
+        let path = folder.path().join("UPPER.OBJ");
+        fs::write(&path, b"v 0 0 0").expect("written");
+        assert!(read_mesh(&path).is_ok());
+    }
+
+    #[test]
+    fn a_concave_polygon_is_not_covered_twice() {
+        // An arrow head, an L, and their reverses; the area of the triangles is that of the polygon.
+        let shapes: [(&[[f64; 2]], f64); 3] = [
+            (&[[0.0, 0.0], [2.0, 1.0], [0.0, 2.0], [1.0, 1.0]], 1.0),
+            (&[[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]], 5.0),
+            (&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], 1.0),
+        ];
+        for (shape, area) in shapes {
+            let vertices: Vec<_> = shape.iter().map(|p| DVec3::new(p[0], p[1], 5.0)).collect();
+            let mut corners: Vec<u32> = (0..shape.len() as u32).collect();
+            for _ in 0..2 {
+                for _ in 0..shape.len() {
+                    corners.rotate_left(1);
+                    let mut faces = Vec::new();
+                    triangulate(&vertices, &corners, &mut faces);
+                    assert_eq!(faces.len(), shape.len() - 2);
+                    let half = |f: &[u32; 3]| {
+                        let [a, b, c] = f.map(|k| vertices[k as usize]);
+                        0.5 * (b - a).cross(c - a).length()
+                    };
+                    let sum: f64 = faces.iter().map(half).sum();
+                    assert!((sum - area).abs() < 1e-12, "{corners:?}: {faces:?}");
+                }
+                corners.reverse();
+            }
+        }
+    }
+
+    /// Name, vertices, faces, and of the welded mesh: boundary edges, edges of more than two
+    /// faces, components.
+    const DRONES: [(&str, [usize; 5]); 8] = [
+        ("crazyflie2/cf2_assembly.stl", [9966, 3322, 32, 194, 33]),
+        ("dji_mavic2/DJI.obj", [3010, 5013, 203, 0, 20]),
+        ("firefly/firefly.ply", [50769, 85154, 18680, 78, 152]),
+        ("hector/quadrotor_base.stl", [1620, 540, 0, 0, 15]),
+        ("holybro_x500/hb_x500_fused.stl", [370_224, 123_408, 346, 3333, 19]),
+        ("iris/iris.stl", [239_988, 79_996, 0, 58_152, 13]),
+        ("omnicopter/omnicopter.stl", [80_394, 26_798, 0, 39, 51]),
+        ("skydio_x2/assets/X2_lowpoly.obj", [4303, 2554, 198, 61, 38]),
+    ];
+
+    #[test]
+    #[expect(clippy::print_stdout, reason = "timings, shown with --nocapture")]
+    fn every_drone_is_read_and_has_its_counts_and_its_exact_diameter() {
+        for (name, counts) in DRONES {
+            let Some(path) = shared::file(&format!("data/drones/{name}")) else { return };
+            let start = Instant::now();
+            let mesh = read_mesh(&path).expect(name);
+            let read = start.elapsed();
+            let unique = &mesh.unique_vertices().positions;
+            let start = Instant::now();
+            let candidates = mesh.hull_candidates().len();
+            let hull = start.elapsed();
+            let start = Instant::now();
+            let diameter = mesh.diameter();
+            let rest = start.elapsed();
+            let distinct = unique.len();
+            println!(
+                "{name}: read {read:.1?}, {distinct} distinct, {candidates} candidates {hull:.1?}, diameter {rest:.1?}"
+            );
+            let check = mesh.check();
+            let found = [
+                check.vertices,
+                check.faces,
+                check.boundary_edges,
+                check.crowded_edges,
+                check.components,
+            ];
+            assert_eq!(found, counts, "{name}");
+            // Brute force takes a minute for the heavy ones.
+            if distinct < 20_000 {
+                let mut best = 0.0_f64;
+                for (k, p) in unique.iter().enumerate() {
+                    best = unique[k..].iter().map(|q| p.distance_squared(*q)).fold(best, f64::max);
+                }
+                assert_eq!(diameter, best.sqrt(), "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_lengths_of_the_paper_s_drone_and_of_a_point_set_are_known() {
+        let Some(path) = shared::file("data/drones/dji_mavic2/DJI.obj") else { return };
+        let mesh = read_mesh(&path).expect("valid");
+        assert!((mesh.bbox_diagonal() - 0.608_931_015_743_162_8).abs() < 1e-12);
+        assert!((mesh.diameter() - 0.537_637_922_023_735_3).abs() < 1e-12);
+        let Some(path) = shared::file("cases/eval/models/box.obj") else { return };
+        let mesh = read_mesh(&path).expect("valid");
+        assert!((mesh.bbox_diagonal() - 0.509_901_951_359_278_5).abs() < 1e-12);
+        assert!((mesh.diameter() - 0.509_901_951_359_278_5).abs() < 1e-12);
+        assert!(mesh.faces().is_empty());
+    }
+}
