@@ -10,6 +10,7 @@
 pub mod error;
 pub mod eval;
 pub mod pose;
+pub mod report;
 pub mod rotation;
 
 pub use error::{Error, Place, Result};
