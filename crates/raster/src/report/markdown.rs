@@ -32,7 +32,7 @@ pub fn markdown(report: &Report<'_>) -> String {
     }
     for s in &all {
         let name = if all.len() > 1 { format!(": {}", escape(s.name)) } else { String::new() };
-        details(&mut out, &name, s);
+        details(&mut out, &name, s, e.n_gt);
     }
     if let Some(a) = &e.authors {
         let _ = writeln!(out, "## Authors' averages\n\n{}\n", facts::authors_sentence(a));
@@ -105,7 +105,7 @@ fn differences(out: &mut String, first: &str, s: &Scored<'_>) {
     table(out, &["Mean of", "Difference", "95 % CI", "p", "Samples"], &rows, 1);
 }
 
-fn details(out: &mut String, name: &str, s: &Scored<'_>) {
+fn details(out: &mut String, name: &str, s: &Scored<'_>, n_gt: usize) {
     let rows: Vec<_> = SUMMARIES
         .iter()
         .filter_map(|key| {
@@ -126,9 +126,11 @@ fn details(out: &mut String, name: &str, s: &Scored<'_>) {
     let rows: Vec<_> = facts::scores(s.metrics)
         .into_iter()
         .map(|(name, value, remark)| vec![name, value, escape(&remark)])
-        .chain(facts::recalls_of_matched(s.metrics).into_iter().map(|(name, x)| {
-            vec![name, format!("{} %", percent(x)), "of the matched samples".to_owned()]
-        }))
+        .chain(facts::recalls_of_matched(s.metrics).into_iter().filter(|_| s.n_matched < n_gt).map(
+            |(name, x)| {
+                vec![name, format!("{} %", percent(x)), "of the matched samples".to_owned()]
+            },
+        ))
         .collect();
     if !rows.is_empty() {
         let _ = writeln!(out, "## Scores{name}\n");

@@ -3,12 +3,14 @@
 //! Their size does not depend on the number of samples: curves have 200 points, histograms 40
 //! bars, scatter plots at most 1500 points (every n-th sample).
 
+mod heat;
+
 use std::fmt::Write as _;
 
 use super::columns::keys;
 use super::html::escape;
 use super::number::{count, percent, short};
-use super::svg::{Axis, Cell, Chart, HEATS, Heat};
+use super::svg::{Axis, Chart};
 use super::{Method, Report, facts};
 use crate::eval::{Recall, Samples};
 
@@ -20,8 +22,6 @@ const BARS: usize = 40;
 const DOTS: usize = 1500;
 /// Groups of the median over distance.
 const GROUPS: usize = 12;
-/// Methods with a heat map of their own.
-const HEAT_METHODS: usize = 4;
 
 /// A chart with its heading and a remark, as HTML.
 #[derive(Debug)]
@@ -89,7 +89,7 @@ pub(super) fn distances(report: &Report<'_>) -> Vec<Figure> {
 
 /// Errors against the viewing direction.
 pub(super) fn directions(report: &Report<'_>) -> Vec<Figure> {
-    [ORIENTATION, TRANSLATION].iter().flat_map(|q| heat_maps(report, q)).collect()
+    [ORIENTATION, TRANSLATION].iter().flat_map(|q| heat::maps(report, q)).collect()
 }
 
 /// Percent of `n_gt` below each threshold; `thresholds` ascend.
@@ -221,14 +221,18 @@ fn legend(items: &[(usize, &str, String)]) -> String {
     out
 }
 
-/// 99th percentile of the finite values of all methods; zero if there are none.
-fn p99(columns: &[Vec<f64>]) -> f64 {
+/// Where to end an axis of errors, so that a few outliers do not squeeze the rest: the 99th
+/// percentile over all methods, at most twice the 90th; zero if there are no finite values.
+fn end(columns: &[Vec<f64>]) -> f64 {
     let mut all: Vec<f64> = columns.iter().flatten().copied().filter(|x| x.is_finite()).collect();
-    if all.is_empty() {
+    let n = all.len();
+    if n == 0 {
         return 0.0;
     }
-    let k = ((all.len() - 1) as f64 * 0.99).ceil() as usize;
-    *all.select_nth_unstable_by(k, f64::total_cmp).1
+    let rank = |q: f64| ((n - 1) as f64 * q).ceil() as usize;
+    let p99 = *all.select_nth_unstable_by(rank(0.99), f64::total_cmp).1;
+    let p90 = *all.select_nth_unstable_by(rank(0.9), f64::total_cmp).1;
+    if p90 > 0.0 { p99.min(2.0 * p90) } else { p99 }
 }
 
 /// How many lie beyond the end of an axis.
@@ -254,7 +258,7 @@ fn columns(report: &Report<'_>, q: &Quantity) -> Option<Vec<Vec<f64>>> {
 
 fn histogram(report: &Report<'_>, q: &Quantity) -> Option<Figure> {
     let columns = columns(report, q)?;
-    let axis = Axis::to(p99(&columns), &format!("{} ({})", q.name, q.unit));
+    let axis = Axis::tight(end(&columns), &format!("{} ({})", q.name, q.unit));
     let max = axis.max;
     let width = max / BARS as f64;
     let counts: Vec<Vec<usize>> = columns
@@ -303,7 +307,7 @@ fn against_distance(report: &Report<'_>, q: &Quantity) -> Option<Figure> {
     let low = all().fold(f64::INFINITY, f64::min);
     let high = all().fold(f64::NEG_INFINITY, f64::max);
     let x = Axis::around(low, high, "Distance from the camera (m)");
-    let y = Axis::to(p99(&columns), &format!("{} ({})", q.name, q.unit));
+    let y = Axis::tight(end(&columns), &format!("{} ({})", q.name, q.unit));
     let max = y.max;
     let mut chart = Chart::new(&format!("{} against distance", q.name), x, y);
     let first = report.methods[0];
@@ -326,23 +330,27 @@ fn against_distance(report: &Report<'_>, q: &Quantity) -> Option<Figure> {
             let k = values.len() / 2;
             let n = values.len();
             let median = *values.select_nth_unstable_by(k, f64::total_cmp).1;
-            line.push((low + width * (g as f64 + 0.5), median, n));
+            let p90 = *values.select_nth_unstable_by((n - 1) * 9 / 10, f64::total_cmp).1;
+            line.push((low + width * (g as f64 + 0.5), median, p90, n));
         }
-        let points: Vec<_> = line.iter().map(|(x, y, _)| (*x, *y)).collect();
+        let upper: Vec<_> = line.iter().map(|(x, _, p90, _)| (*x, *p90)).collect();
+        chart.line(i, "dashed thin", &upper);
+        let points: Vec<_> = line.iter().map(|(x, median, ..)| (*x, *median)).collect();
         chart.line(i, "strong", &points);
-        for (x, y, n) in line {
-            let (name, at, value) = (prefix(report, m), short(x), short(y));
-            let n = count(n);
-            let title = format!("{name}median {value} {} at {at} m, {n} samples", q.unit);
+        for (x, y, p90, n) in line {
+            let (name, at, n) = (prefix(report, m), short(x), count(n));
+            let (median, p90) = (short(y), short(p90));
+            let title = format!(
+                "{name}median {median} {}, 90th percentile {p90} {0} at {at} m, {n} samples",
+                q.unit
+            );
             chart.marker(i, x, y, &title);
         }
         items.push((i, "", format!("{}median", prefix(report, m))));
+        items.push((i, "dashed thin", format!("{}90th percentile", prefix(report, m))));
     }
-    let shown = if stride > 1 {
-        format!("Points: every {stride}th sample{}.", of_first(report))
-    } else {
-        format!("Points: samples{}.", of_first(report))
-    };
+    let share = if stride > 1 { format!("one sample in {stride}") } else { "samples".to_owned() };
+    let shown = format!("Points: {share}{}.", of_first(report));
     Some(Figure {
         title: format!("{} against distance", q.name),
         legend: legend(&items),
@@ -353,117 +361,6 @@ fn against_distance(report: &Report<'_>, q: &Quantity) -> Option<Figure> {
 
 fn of_first(report: &Report<'_>) -> String {
     if report.methods.len() > 1 { format!(" of {}", report.methods[0].name) } else { String::new() }
-}
-
-/// Mean error and number of samples in cells of 30 degrees of azimuth.
-fn heat_cells(
-    s: &Samples,
-    values: &[f64],
-    low: f64,
-    size: f64,
-    rows: usize,
-) -> Vec<[(f64, usize); 12]> {
-    let mut cells = vec![[(0.0, 0); 12]; rows];
-    for ((az, el), v) in s.azimuth_deg.iter().zip(&s.elevation_deg).zip(values) {
-        let column = (((az + 180.0) / 30.0) as usize).min(11);
-        let row = (((el - low) / size) as usize).min(rows - 1);
-        let cell = &mut cells[row][column];
-        cell.0 += v;
-        cell.1 += 1;
-    }
-    cells
-}
-
-fn heat_maps(report: &Report<'_>, q: &Quantity) -> Vec<Figure> {
-    let Some(columns) = columns(report, q) else { return Vec::new() };
-    let all = || report.methods.iter().flat_map(|m| m.samples.elevation_deg.iter().copied());
-    let (low, high) =
-        (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
-    let size = if high - low <= 80.0 { 10.0 } else { 20.0 };
-    let low = (low / size).floor() * size;
-    let rows = (((high - low) / size).ceil() as usize).clamp(1, 18);
-    let maps: Vec<_> = report
-        .methods
-        .iter()
-        .zip(&columns)
-        .take(HEAT_METHODS)
-        .map(|(m, v)| heat_cells(m.samples, v, low, size, rows))
-        .collect();
-    let means = || maps.iter().flatten().flatten().filter(|c| c.1 > 0).map(|c| c.0 / c.1 as f64);
-    let (least, most) =
-        (means().fold(f64::INFINITY, f64::min), means().fold(f64::NEG_INFINITY, f64::max));
-    let heat = |x: f64| {
-        if most > least { ((x - least) / (most - least) * HEATS as f64) as usize } else { 0 }
-    };
-    let mut out = Vec::new();
-    for (m, map) in report.methods.iter().zip(&maps) {
-        let cells = map.iter().enumerate().map(|(j, row)| {
-            let cell = |(i, (sum, n)): (usize, &(f64, usize))| {
-                let mean = (*n > 0).then(|| sum / *n as f64)?;
-                let (az, el) = (-180 + 30 * i as i32, low + size * j as f64);
-                let title = format!(
-                    "azimuth {az} to {} deg, elevation {el} to {} deg: mean {} {} of {} samples",
-                    az + 30,
-                    el + size,
-                    short(mean),
-                    q.unit,
-                    count(*n)
-                );
-                Some(Cell { heat: heat(mean), text: three(mean), title })
-            };
-            row.iter().enumerate().map(cell).collect()
-        });
-        let x_edges = (0..=12).map(|i: i32| match i % 3 {
-            0 => (30 * i - 180).to_string(),
-            _ => String::new(),
-        });
-        let title = format!("{}: mean {} ({})", m.name, q.name.to_lowercase(), q.unit);
-        let title = if report.methods.len() > 1 {
-            title
-        } else {
-            format!("Mean {} ({})", q.name.to_lowercase(), q.unit)
-        };
-        out.push(Figure {
-            svg: Heat {
-                about: &title,
-                x_edges: x_edges.collect(),
-                y_edges: (0..=rows).map(|j| short(low + size * j as f64)).collect(),
-                x_label: "Azimuth of the camera (deg)",
-                y_label: "Elevation (deg)",
-                cells: cells.collect(),
-            }
-            .draw(),
-            legend: scale(least, most, q.unit),
-            title,
-            caption: String::new(),
-        });
-    }
-    out
-}
-
-/// The colours from least to most.
-fn scale(least: f64, most: f64, unit: &str) -> String {
-    let mut out =
-        format!("<p class=\"scale\">{} {unit} <svg viewBox=\"0 0 140 12\">", three(least));
-    for i in 0..HEATS {
-        let _ = write!(
-            out,
-            "<g class=\"h{i}\"><rect x=\"{}\" y=\"0\" width=\"20\" height=\"12\"/></g>",
-            20 * i
-        );
-    }
-    let _ = write!(out, "</svg> {} {unit}</p>", three(most));
-    out
-}
-
-/// About three digits, for a small cell.
-fn three(x: f64) -> String {
-    match x {
-        x if !x.is_finite() => String::new(),
-        x if x >= 99.95 => format!("{x:.0}"),
-        x if x >= 9.995 => format!("{x:.1}"),
-        x => format!("{x:.2}"),
-    }
 }
 
 #[cfg(test)]

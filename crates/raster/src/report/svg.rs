@@ -39,6 +39,15 @@ impl Axis {
         Self { min: 0.0, max: (max / step - 1e-9).ceil() * step, label: label.to_owned() }
     }
 
+    /// From zero to `max`, rounded up to two digits; to one if `max` is zero.
+    pub(super) fn tight(max: f64, label: &str) -> Self {
+        if !max.is_finite() || max <= 0.0 {
+            return Self::to(1.0, label);
+        }
+        let digit = 10_f64.powf(max.log10().floor() - 1.0);
+        Self { min: 0.0, max: (max / digit - 1e-9).ceil() * digit, label: label.to_owned() }
+    }
+
     /// Round numbers around `min` and `max`.
     pub(super) fn around(min: f64, max: f64, label: &str) -> Self {
         let span = if max > min { max - min } else { (max.abs() * 0.2).max(1.0) };
@@ -336,8 +345,9 @@ mod tests {
             assert!(a.max > a.min && (2..20).contains(&a.ticks().len()), "{a:?}");
         }
         for max in [0.0, 1e-15, 7.0, 3e8, f64::INFINITY] {
-            let a = Axis::to(max, "");
-            assert!(a.max > 0.0 && (2..20).contains(&a.ticks().len()), "{a:?}");
+            for a in [Axis::to(max, ""), Axis::tight(max, "")] {
+                assert!(a.max > 0.0 && (2..20).contains(&a.ticks().len()), "{a:?}");
+            }
         }
     }
 

@@ -1,6 +1,8 @@
 //! The report for the terminal: the paper's table first, then what the numbers mean, then details.
 //! Fits 80 columns; narrower terminals get the lines as they are.
 
+use std::fmt::Write as _;
+
 use comfy_table::{CellAlignment, ContentLineStyle, LineStyle, Table, TableStyle};
 
 use super::columns::{
@@ -186,7 +188,7 @@ impl Printer {
         let room = self.width.unwrap_or(100).saturating_sub(indent.len()).max(20);
         for (i, line) in wrap(remark, room).iter().enumerate() {
             let start = if i == 0 { &start } else { &indent };
-            self.out.push_str(&format!("{start}{line}\n"));
+            let _ = writeln!(self.out, "{start}{line}");
         }
     }
 
@@ -261,7 +263,7 @@ impl Printer {
     fn title(&mut self, title: &str) {
         let title = shorten(title, self.width.unwrap_or(usize::MAX).max(20));
         let title = if self.color { format!("\x1b[1m{title}\x1b[0m") } else { title };
-        self.out.push_str(&format!("\n{title}\n"));
+        let _ = writeln!(self.out, "\n{title}");
     }
 
     fn paragraph(&mut self, text: &str) {
@@ -299,7 +301,7 @@ impl Printer {
                 () => "",
             };
             if self.color && !code.is_empty() {
-                self.out.push_str(&format!("\x1b[{code}m{line}\x1b[0m\n"));
+                let _ = writeln!(self.out, "\x1b[{code}m{line}\x1b[0m");
             } else {
                 self.out.push_str(line);
                 self.out.push('\n');
