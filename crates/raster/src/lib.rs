@@ -12,6 +12,7 @@ pub mod eval;
 pub mod io;
 pub mod mesh;
 pub mod pose;
+pub mod report;
 pub mod rotation;
 pub mod threads;
 
