@@ -263,7 +263,9 @@ mod tests {
         for element in header.elements.iter().filter(|e| !e.properties.is_empty()) {
             for property in (0..element.count).flat_map(|_| &element.properties) {
                 let length = property.length.map_or(1, |kind| put(kind) as usize);
-                (0..length).for_each(|_| drop(put(property.kind)));
+                for _ in 0..length {
+                    put(property.kind);
+                }
             }
         }
         bytes
@@ -308,7 +310,7 @@ mod tests {
             ("uchar int v", "uchar float v", "'face' without them, expected a list of integers"),
             ("uchar int v", "float int v", "m.ply:16: found 'property list float int"),
             ("obj_info", "element", "m.ply:4: found 'element x'"),
-            ("end_header", "comment", "m.ply:31: found the end of the file in the header"),
+            ("end_header", "comment", "m.ply:20: found '2 0.5 0.25 -3', expected format, element"),
             ("1 0 1.0", "1 0 x", "m.ply:25:y: found 'x', expected a number"),
             ("1 0 1.0", "1 0 nan", "m.ply:25: found (0, NaN, 0), expected three finite"),
             (

@@ -102,7 +102,9 @@ impl MeshCheck {
         let mut edges: HashMap<(u32, u32), u32, FixedState> = HashMap::default();
         let mut sets = Sets::new(unique.positions.len());
         for face in mesh.faces() {
-            face.iter().for_each(|&v| referenced[v as usize] = true);
+            for &v in face {
+                referenced[v as usize] = true;
+            }
             let [a, b, c] = face.map(|v| unique.of_vertex[v as usize]);
             sets.join(a, b);
             sets.join(b, c);

@@ -204,7 +204,7 @@ fn prune(kept: &mut Vec<u32>, points: &[DVec3], facets: &[Facet]) {
     // Neighbours in the file tend to be near the same facet, so begin with the last that decided.
     let mut last = 0;
     kept.retain(|&k| {
-        let near = |&(n, d): &(DVec3, f64)| !(n.dot(points[k as usize]) - d < -MARGIN);
+        let near = |&(n, d): &(DVec3, f64)| n.dot(points[k as usize]) - d >= -MARGIN;
         near(&planes[last])
             || planes.iter().position(near).is_some_and(|facet| {
                 last = facet;
@@ -214,6 +214,7 @@ fn prune(kept: &mut Vec<u32>, points: &[DVec3], facets: &[Facet]) {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "that results are exact is what is tested")]
 mod tests {
     use std::time::Instant;
 

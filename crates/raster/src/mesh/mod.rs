@@ -151,9 +151,6 @@ impl Mesh {
             let message = format!("{metres_per_unit} is not a finite number above zero");
             return Err(Error::argument("metres_per_unit", message));
         }
-        if metres_per_unit == 1.0 {
-            return Ok(self);
-        }
         let vertices = self.vertices.iter().map(|p| p * metres_per_unit).collect();
         Self::new(vertices, self.faces)
     }
@@ -198,6 +195,7 @@ impl UniqueVertices {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "that results are exact is what is tested")]
 mod tests {
     use super::*;
 
