@@ -7,10 +7,14 @@
 //! Layers, each of which knows only those before it: `error rotation pose camera mesh`, then
 //! `metrics`, then `io`, then `eval`, then `report`, then `cli` and `python`.
 
+pub mod camera;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod error;
 pub mod eval;
 pub mod io;
 pub mod mesh;
+pub mod metrics;
 pub mod pose;
 pub mod report;
 pub mod rotation;

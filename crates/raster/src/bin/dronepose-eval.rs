@@ -1,1 +1,5 @@
-fn main(){}
+//! The command `dronepose-eval`.
+
+fn main() -> std::process::ExitCode {
+    dronepose_raster::cli::main()
+}

@@ -80,7 +80,12 @@ impl Evaluator<'_> {
         let mut compare = Vec::with_capacity(others.len());
         let mut other_samples = Vec::with_capacity(others.len());
         for table in others {
-            let other = self.score(table, progress)?;
+            let mut other = self.score(table, progress)?;
+            let taken = |name: &str| first.name == name || compare.iter().any(|c: &Comparison| c.name == name);
+            if taken(&other.name) {
+                // Two files of one name: tell them apart by their paths.
+                other.name.clone_from(&table.source.path);
+            }
             compare.push(Comparison {
                 n_predictions: table.len(),
                 n_matched: other.samples.len(),

@@ -1,5 +1,6 @@
 //! Breakdowns (`--by`): the samples split by distance, viewing direction, or any column.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use crate::error::{Error, Place, Result};
@@ -80,10 +81,9 @@ fn breakdown(
     }
     let mut groups: Vec<_> = groups.into_iter().collect();
     // Words that are numbers go by their value: 2 before 10.
-    groups.sort_by(|(a, _), (b, _)| match (a.number(), b.number()) {
-        (Some(a), Some(b)) => a.total_cmp(&b),
-        _ => a.cmp(b),
-    });
+    if groups.iter().all(|(key, _)| key.number().is_some()) {
+        groups.sort_by(|(a, _), (b, _)| a.number().partial_cmp(&b.number()).unwrap_or(Ordering::Equal));
+    }
     let groups = groups.into_iter().map(|(key, (n_gt, rows))| {
         let (label, from, to) = match key {
             Key::Word(word) => (word, None, None),
@@ -106,7 +106,7 @@ enum Key {
 impl Key {
     fn number(&self) -> Option<f64> {
         match self {
-            Self::Word(word) => word.parse().ok(),
+            Self::Word(word) => word.parse().ok().filter(|x: &f64| x.is_finite()),
             Self::Bin(k) => Some(*k as f64),
         }
     }

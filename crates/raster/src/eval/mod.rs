@@ -7,6 +7,7 @@ mod evaluate;
 mod groups;
 pub mod matching;
 pub mod objects;
+pub mod per_sample;
 pub mod request;
 mod results;
 mod samples;

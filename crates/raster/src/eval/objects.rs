@@ -236,9 +236,19 @@ impl Cameras {
         }
         let mut input = Input::open(path)?;
         let bytes = input.read_all(256 << 20)?;
-        let mut cameras = Self { text: Some(text.to_owned()), ..Self::default() };
-        cameras.fill(&bytes, text)?;
+        let mut cameras = Self::parse(text, &bytes)?;
+        cameras.text = Some(text.to_owned());
         cameras.file = Some(input.finish("json")?);
+        Ok(cameras)
+    }
+
+    /// From the bytes of a JSON file, for messages called `name`.
+    ///
+    /// # Errors
+    /// As [`Cameras::read`].
+    pub fn parse(name: &str, bytes: &[u8]) -> Result<Self> {
+        let mut cameras = Self::default();
+        cameras.fill(bytes, name)?;
         Ok(cameras)
     }
 
@@ -258,8 +268,8 @@ impl Cameras {
             (number("fx"), number("fy"), number("cx"), number("cy"))
         {
             let skew = number("skew").unwrap_or(0.0);
-            let camera = Intrinsics::new(fx, fy, cx, cy, skew, width, height);
-            self.default = Some(camera.map_err(|e| refuse(&e))?);
+            let camera = Intrinsics::from_matrix([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]);
+            self.default = Some(Intrinsics { width, height, ..camera.map_err(|e| refuse(&e))? });
             return Ok(());
         }
         if let Some(k) = ["K", "cam_K", "camera_matrix"].iter().find_map(|k| value.get(k)) {
@@ -269,12 +279,12 @@ impl Cameras {
                 let found = format!("a matrix of {} numbers", flat.len());
                 Error::malformed(Place::file(name).column("K"), found, "9 numbers, row by row")
             })?;
-            let camera = from_k(&k, width, height).map_err(|e| refuse(&e))?;
-            self.default = Some(camera);
+            let camera = from_k(&k).map_err(|e| refuse(&e))?;
+            self.default = Some(Intrinsics { width, height, ..camera });
             return Ok(());
         }
         for (image, k) in parse_scene_camera(bytes, name)? {
-            let camera = from_k(&k, None, None).map_err(|e| {
+            let camera = from_k(&k).map_err(|e| {
                 let place = Place::file(name).column(format!("{image}.cam_K"));
                 Error::malformed(place, e.to_string(), "a camera matrix")
             })?;
@@ -305,11 +315,8 @@ impl Cameras {
     }
 }
 
-fn from_k(k: &[f64; 9], width: Option<u32>, height: Option<u32>) -> Result<Intrinsics> {
-    if !(k[3] == 0.0 && k[6] == 0.0 && k[7] == 0.0 && k[8] == 1.0) {
-        return Err(Error::argument("K", "expected [fx, skew, cx, 0, fy, cy, 0, 0, 1]"));
-    }
-    Intrinsics::new(k[0], k[4], k[2], k[5], k[1], width, height)
+fn from_k(k: &[f64; 9]) -> Result<Intrinsics> {
+    Intrinsics::from_matrix([[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]])
 }
 
 fn flatten(value: &serde_json::Value, out: &mut Vec<f64>) {

@@ -138,6 +138,54 @@ pub struct PoseTable {
 }
 
 impl PoseTable {
+    /// Poses that are in memory already, called `name` in messages; without `ids` the rows are
+    /// numbered from 0. The digest is that of the numbers.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for no pose, another number of ids, or translations that are not finite.
+    pub fn from_poses(name: &str, poses: Vec<Pose>, ids: Option<&[String]>) -> Result<Self> {
+        use sha2::{Digest, Sha256};
+
+        if poses.is_empty() {
+            return Err(Error::argument(name, "found no pose, expected at least one"));
+        }
+        row_limit(poses.len(), name)?;
+        if let Some(ids) = ids.filter(|ids| ids.len() != poses.len()) {
+            let message = format!("found {} ids for {} poses", ids.len(), poses.len());
+            return Err(Error::argument(name, message));
+        }
+        let mut sha256 = Sha256::new();
+        let mut table_ids = Strings::default();
+        for (row, pose) in poses.iter().enumerate() {
+            let t = pose.translation;
+            translation(t.to_array(), Unit::Metre, || Place::file(&format!("{name}.t[{row}]")))?;
+            for x in pose.rotation.to_array().iter().chain(&t.to_array()) {
+                sha256.update(x.to_le_bytes());
+            }
+            match ids {
+                Some(ids) => table_ids.push(&ids[row]),
+                None => table_ids.push(&row.to_string()),
+            }
+        }
+        Ok(Self {
+            source: InputFile {
+                path: name.to_owned(),
+                format: "array".into(),
+                sha256: sha256.finalize().iter().map(|b| format!("{b:02x}")).collect(),
+                bytes: 56 * poses.len() as u64,
+            },
+            name: name.to_owned(),
+            unit: Unit::Metre,
+            ids: table_ids,
+            poses,
+            lines: Vec::new(),
+            targets: None,
+            scores: None,
+            extra: Vec::new(),
+            warnings: Vec::new(),
+        })
+    }
+
     /// Number of rows.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -184,6 +232,21 @@ impl PoseTable {
         }
     }
 
+    /// Drop the rows of other objects (BOP files only); returns how many rows are left.
+    pub fn keep_objects(&mut self, objects: &[u32]) -> usize {
+        let Some(targets) = &self.targets else { return self.len() };
+        let keep: Vec<bool> = targets.iter().map(|t| objects.contains(&t.object)).collect();
+        retain(&mut self.poses, &keep);
+        retain(&mut self.lines, &keep);
+        if let Some(targets) = &mut self.targets {
+            retain(targets, &keep);
+        }
+        if let Some(scores) = &mut self.scores {
+            retain(scores, &keep);
+        }
+        self.len()
+    }
+
     /// Refuse ground truth at the camera: the normalised position error divides by `|t|`.
     ///
     /// # Errors
@@ -200,6 +263,14 @@ impl PoseTable {
         }
         Ok(())
     }
+}
+
+fn retain<T>(column: &mut Vec<T>, keep: &[bool]) {
+    let mut row = 0;
+    column.retain(|_| {
+        row += 1;
+        keep[row - 1]
+    });
 }
 
 /// Collects the rotations of a file, with one warning for all that had to be projected.

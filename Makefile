@@ -1,0 +1,73 @@
+# The few verbs a developer needs. `make demo` and `make test` need only Rust, Python 3.11 and make.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+SHELL := /bin/bash
+WHEELS := target/wheels
+
+.PHONY: demo test lint test-rust test-python develop bench fuzz examples wheel clean help
+
+help:  ## List the verbs
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+
+demo: $(BIN)/python  ## Install, then score the example predictions and write out/report.html
+	$(BIN)/python -m pip install --quiet .
+	@mkdir -p out
+	$(BIN)/dronepose-eval examples/predictions.csv examples/gt.csv --mesh examples/quadrotor.obj \
+	    --compare examples/predictions_baseline.csv --by distance --html out/report.html
+	@echo "wrote out/report.html"
+
+wheel: $(BIN)/python  ## Build the wheel and install it with the development tools
+	$(BIN)/python -m pip install --quiet "maturin>=1.9.4,<2"
+	rm -rf $(WHEELS)
+	$(BIN)/maturin build --release --quiet --interpreter $(BIN)/python --out $(WHEELS)
+	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(WHEELS)/*.whl
+	wheel=$$(echo $(WHEELS)/*.whl) && $(BIN)/python -m pip install --quiet "$$wheel[dev]"
+
+test: wheel chromium lint test-rust test-python  ## Install what is missing and pass all tests
+
+lint: wheel  ## Formatting, clippy, ruff, mypy, stubs
+	cargo fmt --check
+	cargo clippy --workspace --all-targets --features python -- -D warnings
+	$(BIN)/ruff check . && $(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m mypy.stubtest dronepose._native
+	@test "$$(cargo tree -i glam --depth 0 2>/dev/null | wc -l)" = 1 || { cargo tree -i glam; exit 1; }
+
+test-rust:  ## Unit tests, property tests, command-line transcripts
+	cargo test --workspace
+
+test-python: wheel  ## Tests of the installed wheel
+	cd tests && ../$(BIN)/python -m pytest -c ../pyproject.toml --rootdir .. .
+
+.PHONY: chromium
+chromium:  # The HTML report is opened in a real browser; without root its test is skipped.
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get -qq update && \
+	    DEBIAN_FRONTEND=noninteractive apt-get -qq install -y chromium >/dev/null; } || \
+	    echo "chromium is not here and cannot be installed: the report's browser test will be skipped"
+
+develop: $(BIN)/python  ## Editable install for work on the sources
+	$(BIN)/python -m pip install --quiet "maturin>=1.9.4,<2"
+	source $(BIN)/activate && maturin develop --release --extras dev
+
+bench: develop  ## Benchmarks in Rust, and against NumPy and SciPy
+	cargo bench
+	$(BIN)/python benches/bench_metrics.py
+
+fuzz:  ## Every parser for a minute (needs the nightly toolchain and cargo-fuzz)
+	command -v cargo-fuzz >/dev/null || cargo install cargo-fuzz
+	cd crates/raster && for target in $$(cargo fuzz list); do \
+	    echo "== $$target"; cargo +nightly fuzz run $$target -- -max_total_time=$${SECONDS_EACH:-60} -rss_limit_mb=2048 || exit 1; done
+
+examples: $(BIN)/python  ## Generate the example data again
+	$(BIN)/python -m pip install --quiet numpy
+	$(BIN)/python examples/make_examples.py
+
+clean:  ## Remove what was built
+	cargo clean
+	rm -rf $(VENV) out

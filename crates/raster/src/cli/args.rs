@@ -1,0 +1,236 @@
+//! The command line of `dronepose-eval`.
+
+use std::path::PathBuf;
+
+use clap::{Parser, ValueEnum};
+
+use crate::error::{Error, Result};
+use crate::eval::request::CHOICES;
+use crate::eval::{Choice, Level, Preset, Reference, Request, Up};
+use crate::io::{Format, Unit};
+
+const EXAMPLES: &str = "\
+Examples:
+  dronepose-eval predictions.csv gt.csv
+  dronepose-eval predictions.csv gt.csv --mesh drone.obj --html report.html
+  dronepose-eval ours.csv gt.csv --mesh drone.obj --compare baseline.csv --by distance
+  dronepose-eval results_lmo-test.csv test/000002/scene_gt.json --mesh models --camera camera.json
+  dronepose-eval submission.csv test.json --preset speedplus --json -
+
+CSV files have a header: id,qw,qx,qy,qz,tx,ty,tz in any order (or r11..r33, or rx,ry,rz for the
+rotation). Poses are cam_from_model in the OpenCV camera frame. Exit codes: 0 done, 1 an input was
+refused, 2 the command line was not understood.";
+
+/// Score 6D pose predictions against ground truth.
+///
+/// Prints NPE, OE, CPE, AccX and, with a mesh, ADD, ADD-S, MSSD and their recalls, with confidence
+/// intervals and the worst samples.
+#[derive(Debug, Parser)]
+#[command(name = "dronepose-eval", version, after_help = EXAMPLES, max_term_width = 100)]
+pub struct Args {
+    /// Predicted poses: CSV, BOP result CSV, SPEED JSON or CSV; .gz is unpacked; - is stdin
+    pub predictions: PathBuf,
+    /// Ground-truth poses: CSV, BOP `scene_gt.json` or folder, SPEED labels
+    pub gt: PathBuf,
+
+    /// Format of both files; auto recognises each from its content
+    #[arg(long, value_name = "FORMAT", default_value = "auto", value_parser = ["auto", "csv", "bop", "speed"])]
+    pub format: String,
+    /// Mesh of the object (OBJ, PLY, STL), or a BOP models folder; without it the metrics over
+    /// vertices are left out
+    #[arg(long, value_name = "FILE")]
+    pub mesh: Option<PathBuf>,
+    /// Unit of the mesh [default: m; mm for a BOP models folder]
+    #[arg(long, value_name = "UNIT")]
+    pub mesh_unit: Option<MeshUnit>,
+    /// Unit of the translations in both files [default: m; mm for BOP files]
+    #[arg(long, value_name = "UNIT")]
+    pub unit: Option<PoseUnit>,
+    /// Unit of the translations in the predictions alone
+    #[arg(long, value_name = "UNIT")]
+    pub pred_unit: Option<PoseUnit>,
+    /// Unit of the translations in the ground truth alone
+    #[arg(long, value_name = "UNIT")]
+    pub gt_unit: Option<PoseUnit>,
+    /// Length that 6D Pose-k is a percentage of: bbox-diagonal, diameter, or metres [default: that
+    /// of the preset]
+    #[arg(long, value_name = "LENGTH")]
+    pub add_reference: Option<Reference>,
+    /// Symmetries: BOP `models_info.json`, or a JSON file with its symmetry keys (lengths in mm)
+    #[arg(long, value_name = "FILE")]
+    pub symmetries: Option<PathBuf>,
+    /// Intrinsics in pixels for the projection errors, or a JSON file (camera.json,
+    /// `scene_camera.json`)
+    #[arg(long, value_name = "fx,fy,cx,cy,W,H|FILE")]
+    pub camera: Option<String>,
+    /// X of the accuracy at X degrees and X centimetres
+    #[arg(long, value_name = "X,...", value_delimiter = ',', default_value = "2,5,10")]
+    pub acc: Vec<f64>,
+    /// k of 6D Pose-k: ADD below k percent of the reference length
+    #[arg(long, value_name = "k,...", value_delimiter = ',', default_value = "2,5,10")]
+    pub add: Vec<f64>,
+    /// Metrics over vertices: auto, all, or some of add,adds,mssd,mspd,proj; auto leaves ADD-S out
+    /// where it would take long
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "auto")]
+    pub metrics: Vec<String>,
+    /// A set of choices: paper (bounding-box diagonal), authors (0.354 m and means of batch
+    /// means), bop (diameter), speedplus
+    #[arg(long, value_name = "NAME", default_value = "paper", value_parser = ["paper", "authors", "bop", "speedplus"])]
+    pub preset: String,
+    /// Batch size of the authors preset
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    pub batch_size: u32,
+    /// Score only these objects of BOP files
+    #[arg(long, value_name = "ID,...", value_delimiter = ',')]
+    pub objects: Vec<u32>,
+    /// Break the numbers down by distance, azimuth, elevation or a column (repeatable)
+    #[arg(long, value_name = "distance|azimuth|elevation|COLUMN", value_delimiter = ',')]
+    pub by: Vec<String>,
+    /// The model's up axis, which azimuth and elevation refer to
+    #[arg(long, value_name = "AXIS", default_value = "z", value_parser = ["y", "z"])]
+    pub up: String,
+    /// Resamples of the bootstrap behind the 95 % intervals; 0 for none [default: 1000, none above
+    /// 50000 samples]
+    #[arg(long, value_name = "N")]
+    pub bootstrap: Option<u32>,
+    /// Seed of the bootstrap
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub seed: u64,
+    /// Further predictions on the same ground truth: a leaderboard with paired differences
+    #[arg(long, value_name = "OTHER", num_args = 1..)]
+    pub compare: Vec<PathBuf>,
+    /// Write all numbers as JSON (- for standard output)
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Write the errors of every sample as CSV
+    #[arg(long, value_name = "FILE")]
+    pub per_sample: Option<PathBuf>,
+    /// Write a self-contained report with curves and histograms
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+    /// Write the tables as Markdown
+    #[arg(long, value_name = "FILE")]
+    pub markdown: Option<PathBuf>,
+    /// Write the paper's table as LaTeX
+    #[arg(long, value_name = "FILE")]
+    pub latex: Option<PathBuf>,
+    /// Threads; 0 for all cores. The results do not depend on it
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub threads: usize,
+    /// Treat every warning (missing predictions, projected rotations, ...) as an error
+    #[arg(long)]
+    pub strict: bool,
+    /// Print neither the table nor warnings
+    #[arg(long, short)]
+    pub quiet: bool,
+}
+
+/// Unit of a mesh.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MeshUnit {
+    /// Metres.
+    M,
+    /// Centimetres.
+    Cm,
+    /// Millimetres.
+    Mm,
+}
+
+/// Unit of translations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PoseUnit {
+    /// Metres.
+    M,
+    /// Millimetres.
+    Mm,
+}
+
+impl From<MeshUnit> for Unit {
+    fn from(unit: MeshUnit) -> Self {
+        match unit {
+            MeshUnit::M => Self::Metre,
+            MeshUnit::Cm => Self::Centimetre,
+            MeshUnit::Mm => Self::Millimetre,
+        }
+    }
+}
+
+impl From<PoseUnit> for Unit {
+    fn from(unit: PoseUnit) -> Self {
+        match unit {
+            PoseUnit::M => Self::Metre,
+            PoseUnit::Mm => Self::Millimetre,
+        }
+    }
+}
+
+impl Args {
+    /// The format asked for.
+    #[must_use]
+    pub fn pose_format(&self) -> Format {
+        match self.format.as_str() {
+            "csv" => Format::Csv,
+            "bop" => Format::Bop,
+            "speed" => Format::Speed,
+            _ => Format::Auto,
+        }
+    }
+
+    /// The evaluation asked for.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for levels that are not above zero, unknown metrics.
+    pub fn request(&self) -> Result<Request> {
+        let preset = match self.preset.as_str() {
+            "authors" => Preset::Authors,
+            "bop" => Preset::Bop,
+            "speedplus" => Preset::SpeedPlus,
+            _ => Preset::Paper,
+        };
+        let choice = match self.metrics.as_slice() {
+            [one] if one == "auto" => Choice::Auto,
+            [one] if one == "all" => Choice::All,
+            names => {
+                if let Some(unknown) = names.iter().find(|n| !CHOICES.contains(&n.as_str())) {
+                    return Err(Error::argument(
+                        "--metrics",
+                        format!("found '{unknown}', expected auto, all, or some of {}", CHOICES.join(",")),
+                    ));
+                }
+                Choice::These(names.to_vec())
+            }
+        };
+        Ok(Request {
+            preset,
+            acc: Level::list("--acc", &self.acc)?,
+            add: Level::list("--add", &self.add)?,
+            reference: self.add_reference.unwrap_or(preset.reference()),
+            choice,
+            by: self.by.clone(),
+            up: if self.up == "y" { Up::Y } else { Up::Z },
+            bootstrap: self.bootstrap.map(|n| n as usize),
+            seed: self.seed,
+            batch_size: self.batch_size as usize,
+            objects: self.objects.clone(),
+            strict: self.strict,
+        })
+    }
+
+    /// The outputs that go to standard output; at most one may.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if two of them do, or both inputs are standard input.
+    pub fn to_stdout(&self) -> Result<bool> {
+        let dash = |p: &Option<PathBuf>| p.as_deref().is_some_and(|p| p.as_os_str() == "-");
+        let outputs = [&self.json, &self.per_sample, &self.html, &self.markdown, &self.latex];
+        let count = outputs.into_iter().filter(|p| dash(p)).count();
+        if count > 1 {
+            return Err(Error::argument("-", "only one output can go to standard output"));
+        }
+        let inputs = std::iter::once(&self.predictions).chain([&self.gt]).chain(&self.compare);
+        if inputs.filter(|p| p.as_os_str() == "-").count() > 1 {
+            return Err(Error::argument("-", "only one input can be standard input"));
+        }
+        Ok(count == 1)
+    }
+}
