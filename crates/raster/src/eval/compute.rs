@@ -75,7 +75,7 @@ pub(crate) fn samples(
         s.oe_sym_rad = Some(column(pairs, |pair| {
             let (est, gt) = scene.poses(pair);
             let symmetries = &scene.object(pair).symmetries;
-            metrics::symmetry::rotation_angle(&est.rotation, &gt.rotation, symmetries)
+            metrics::symmetry::rotation_angle(est, gt, symmetries)
         }));
     }
     let meshes = n > 0 && pairs.iter().all(|&pair| scene.object(pair).mesh.is_some());

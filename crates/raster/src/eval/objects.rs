@@ -10,7 +10,8 @@ use crate::io::bop::{ObjectInfo, parse_scene_camera, read_models_info};
 use crate::io::input::{Input, InputFile};
 use crate::io::{Unit, read_mesh};
 use crate::mesh::Mesh;
-use crate::metrics::{Symmetries, VertexSet};
+use crate::metrics::VertexSet;
+use crate::metrics::symmetry::Symmetries;
 
 /// A mesh prepared for the metrics.
 #[derive(Debug)]
@@ -38,7 +39,7 @@ impl MeshModel {
 }
 
 /// What is known of one object.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Object {
     /// Its mesh.
     pub mesh: Option<Arc<MeshModel>>,
@@ -46,6 +47,12 @@ pub struct Object {
     pub symmetries: Symmetries,
     /// Diameter as `models_info.json` says, metres; used for BOP's recalls.
     pub listed_diameter: Option<f64>,
+}
+
+impl Default for Object {
+    fn default() -> Self {
+        Self { mesh: None, symmetries: Symmetries::none(), listed_diameter: None }
+    }
 }
 
 impl Object {

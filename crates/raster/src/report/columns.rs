@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::number;
 use super::{Report, Scored};
-use crate::eval::{Metrics, Summary};
+use crate::eval::{Breakdown, Group, Metrics, Summary};
 
 /// Where the value of a [`Column`] is found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -110,6 +110,15 @@ pub(super) fn keys<T>(map: &BTreeMap<String, T>) -> Vec<&str> {
     let number = |k: &str| k.parse::<f64>().unwrap_or(f64::MAX);
     keys.sort_by(|a, b| number(a).total_cmp(&number(b)).then_with(|| a.cmp(b)));
     keys
+}
+
+/// Keys of the accuracies and of the recalls of ADD that any group of a breakdown has.
+pub(super) fn group_keys(b: &Breakdown) -> (Vec<String>, Vec<String>) {
+    let all = |map: fn(&Group) -> &BTreeMap<String, f64>| {
+        let union: BTreeMap<String, f64> = b.groups.iter().flat_map(|g| map(g).clone()).collect();
+        keys(&union).into_iter().map(str::to_owned).collect()
+    };
+    (all(|g| &g.acc), all(|g| &g.add_recall))
 }
 
 /// The metrics with a summary, in the order of the reports.

@@ -16,9 +16,10 @@ pub(super) const DENOMINATORS: &str =
 /// `500 ground truth, 430 predictions, 430 matched, 70 missing`.
 pub(super) fn counts(n_gt: usize, s: &Scored<'_>) -> String {
     format!(
-        "{} ground truth, {} predictions, {} matched, {} missing",
+        "{} ground truth, {} {}, {} matched, {} missing",
         count(n_gt),
         count(s.n_predictions),
+        if s.n_predictions == 1 { "prediction" } else { "predictions" },
         count(s.n_matched),
         count(n_gt.saturating_sub(s.n_matched)),
     )

@@ -29,6 +29,11 @@ pub fn html(report: &Report<'_>) -> String {
     }
     leaderboard(&mut out, report, &all);
     differences(&mut out, report, &all);
+    if e.n_matched == 0 {
+        out.push_str(
+            "<p>No prediction matches a ground-truth pose: there is nothing to draw.</p>\n",
+        );
+    }
     figures(&mut out, "Recall against the threshold", "", &plots::curves(report));
     figures(&mut out, "Distribution of the errors", "", &plots::histograms(report));
     figures(&mut out, "Error against distance", "", &plots::distances(report));
@@ -144,9 +149,8 @@ fn leaderboard(out: &mut String, report: &Report<'_>, all: &[Scored<'_>]) {
     let columns = columns(report);
     out.push_str("<div class=\"table\"><table><thead><tr><th class=\"l\">Method</th>");
     for c in &columns {
-        let unit = titled("", c.unit);
         let name = escape(&c.name).replace(' ', "&nbsp;");
-        let _ = write!(out, "<th>{name}&nbsp;{}<br><small>{unit}</small></th>", c.arrow());
+        let _ = write!(out, "<th>{name}<br><small>{}&nbsp;{}</small></th>", c.unit, c.arrow());
     }
     out.push_str("</tr></thead><tbody>\n");
     for s in all {
@@ -179,8 +183,10 @@ fn cell(out: &mut String, c: &Column, s: &Scored<'_>, all: &[Scored<'_>]) {
     let text = optional(value, |x| aligned(x, decimals));
     let _ = write!(out, "<td><span{class}>{text}</span>");
     if let Some([a, b]) = c.interval(s) {
+        // One digit less than the value: enough for an interval, and the table fits its page.
+        let decimals = decimals.map(|d| d.saturating_sub(1));
         let (a, b) = (aligned(a, decimals), aligned(b, decimals));
-        let _ = write!(out, "<span class=\"ci\">{a}–{b}</span>");
+        let _ = write!(out, "<span class=\"ci\">{a}–<wbr>{b}</span>");
     }
     let Key::Mean(key) = c.key else {
         out.push_str("</td>");

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::columns::{SUMMARIES, columns, keys, label, ordered_differences, summary, titled};
+use super::columns::{SUMMARIES, columns, group_keys, label, ordered_differences, summary, titled};
 use super::facts;
 use super::number::{aligned, count, fixed, optional, p_value, percent, signed, significant};
 use super::{Report, Scored};
@@ -141,8 +141,7 @@ fn details(out: &mut String, name: &str, s: &Scored<'_>, n_gt: usize) {
 fn breakdown(out: &mut String, b: &Breakdown) {
     let title = titled(&b.column, &b.unit);
     let _ = writeln!(out, "## By {}\n", escape(&title));
-    let acc = b.groups.first().map(|g| keys(&g.acc)).unwrap_or_default();
-    let add = b.groups.first().map(|g| keys(&g.add_recall)).unwrap_or_default();
+    let (acc, add) = group_keys(b);
     let mut head: Vec<String> =
         [&*escape(&title), "GT", "Matched", "NPE", "OE (deg)", "TE (cm)", "CPE", "ADD (cm)"]
             .map(str::to_owned)
@@ -157,8 +156,8 @@ fn breakdown(out: &mut String, b: &Breakdown) {
             let mut row = vec![escape(&g.label), count(g.n_gt), count(g.n_matched)];
             row.extend([optional(g.npe, significant), optional(g.oe_deg, significant)]);
             row.extend([cm(g.te_m), optional(g.cpe, significant), cm(g.add_m)]);
-            row.extend(acc.iter().map(|x| optional(g.acc.get(*x).copied(), percent)));
-            row.extend(add.iter().map(|k| optional(g.add_recall.get(*k).copied(), percent)));
+            row.extend(acc.iter().map(|x| optional(g.acc.get(x).copied(), percent)));
+            row.extend(add.iter().map(|k| optional(g.add_recall.get(k).copied(), percent)));
             row
         })
         .collect();

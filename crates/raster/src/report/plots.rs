@@ -349,7 +349,8 @@ fn against_distance(report: &Report<'_>, q: &Quantity) -> Option<Figure> {
         items.push((i, "", format!("{}median", prefix(report, m))));
         items.push((i, "dashed thin", format!("{}90th percentile", prefix(report, m))));
     }
-    let share = if stride > 1 { format!("one sample in {stride}") } else { "samples".to_owned() };
+    let share =
+        if stride > 1 { format!("one sample in {stride}") } else { "all samples".to_owned() };
     let shown = format!("Points: {share}{}.", of_first(report));
     Some(Figure {
         title: format!("{} against distance", q.name),

@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use comfy_table::{CellAlignment, ContentLineStyle, LineStyle, Table, TableStyle};
 
 use super::columns::{
-    Column, SUMMARIES, columns, keys, label, ordered_differences, summary, titled,
+    Column, SUMMARIES, columns, group_keys, label, ordered_differences, summary, titled,
 };
 use super::facts::{self, visible};
 use super::number::{
@@ -195,18 +195,15 @@ impl Printer {
     fn breakdown(&mut self, b: &Breakdown) {
         let title = visible(&titled(&b.column, &b.unit));
         self.title(&format!("By {title}"));
-        let acc = b.groups.first().map(|g| keys(&g.acc)).unwrap_or_default();
-        let add = b.groups.first().map(|g| keys(&g.add_recall)).unwrap_or_default();
-        let paper = |keys: Vec<&'_ str>| -> Vec<String> {
-            let mut some: Vec<_> = keys
-                .iter()
-                .filter(|k| **k == "5" || **k == "10")
-                .map(|k| (*k).to_owned())
-                .collect();
-            if some.is_empty() {
-                some = keys.iter().take(2).map(|k| (*k).to_owned()).collect();
+        let (acc, add) = group_keys(b);
+        let paper = |mut keys: Vec<String>| {
+            let is_paper = |k: &String| k == "5" || k == "10";
+            if keys.iter().any(is_paper) {
+                keys.retain(is_paper);
+            } else {
+                keys.truncate(2);
             }
-            some
+            keys
         };
         let (acc, add) = (paper(acc), paper(add));
         let mut head: Vec<String> =

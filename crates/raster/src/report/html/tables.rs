@@ -4,15 +4,14 @@ use std::fmt::Write as _;
 
 use super::escape;
 use crate::eval::{Breakdown, Evaluation, WorstSample};
-use crate::report::columns::{SUMMARIES, keys, label, summary, titled};
+use crate::report::columns::{SUMMARIES, group_keys, label, summary, titled};
 use crate::report::number::{count, fixed, optional, percent, significant};
 use crate::report::{Scored, facts};
 
 /// Means and recalls of each group.
 pub(super) fn breakdown(out: &mut String, b: &Breakdown) {
     let title = escape(&titled(&b.column, &b.unit));
-    let acc = b.groups.first().map(|g| keys(&g.acc)).unwrap_or_default();
-    let add = b.groups.first().map(|g| keys(&g.add_recall)).unwrap_or_default();
+    let (acc, add) = group_keys(b);
     let mesh = b.groups.iter().any(|g| g.add_m.is_some());
     let _ = write!(out, "<section>\n<h2>By {title}</h2>\n");
     let mut head: Vec<String> =
@@ -26,8 +25,8 @@ pub(super) fn breakdown(out: &mut String, b: &Breakdown) {
         row.extend([optional(g.npe, significant), optional(g.oe_deg, significant)]);
         row.extend([cm(g.te_m), optional(g.cpe, significant)]);
         row.extend(mesh.then(|| cm(g.add_m)));
-        row.extend(acc.iter().map(|x| optional(g.acc.get(*x).copied(), percent)));
-        row.extend(add.iter().map(|k| optional(g.add_recall.get(*k).copied(), percent)));
+        row.extend(acc.iter().map(|x| optional(g.acc.get(x).copied(), percent)));
+        row.extend(add.iter().map(|k| optional(g.add_recall.get(k).copied(), percent)));
         row
     });
     table(out, &head, rows.collect(), 1);

@@ -10,6 +10,8 @@ use crate::report::svg::{Cell, HEATS, Heat};
 
 /// Methods with a heat map of their own.
 const METHODS: usize = 4;
+/// Rows that leave room for the label of the axis.
+const MIN_ROWS: usize = 3;
 
 /// Mean error and number of samples in cells of 30 degrees of azimuth.
 fn heat_cells(
@@ -38,7 +40,8 @@ pub(super) fn maps(report: &Report<'_>, q: &Quantity) -> Vec<Figure> {
         (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
     let size = if high - low <= 80.0 { 10.0 } else { 20.0 };
     let low = (low / size).floor() * size;
-    let rows = (((high - low) / size).ceil() as usize).clamp(1, 18);
+    let rows = (((high - low) / size).ceil() as usize).clamp(MIN_ROWS, 18);
+    let low = low.min(90.0 - size * MIN_ROWS as f64);
     let maps: Vec<_> = report
         .methods
         .iter()
@@ -51,6 +54,7 @@ pub(super) fn maps(report: &Report<'_>, q: &Quantity) -> Vec<Figure> {
     sorted.sort_by(f64::total_cmp);
     // A cell or two with an outlier would leave one colour for all others.
     let (least, most) = (sorted[0], sorted[(sorted.len() - 1) * 19 / 20]);
+    let more = if most < sorted[sorted.len() - 1] { " and more" } else { "" };
     let heat = |x: f64| {
         if most > least { ((x - least) / (most - least) * HEATS as f64) as usize } else { 0 }
     };
@@ -92,7 +96,11 @@ pub(super) fn maps(report: &Report<'_>, q: &Quantity) -> Vec<Figure> {
                 cells: cells.collect(),
             }
             .draw(),
-            legend: scale(least, most, q.unit),
+            legend: if most > least {
+                scale(least, most, &format!("{}{more}", q.unit), q.unit)
+            } else {
+                String::new()
+            },
             title,
             caption: String::new(),
         });
@@ -101,7 +109,7 @@ pub(super) fn maps(report: &Report<'_>, q: &Quantity) -> Vec<Figure> {
 }
 
 /// The colours from least to most.
-fn scale(least: f64, most: f64, unit: &str) -> String {
+fn scale(least: f64, most: f64, most_unit: &str, unit: &str) -> String {
     let mut out =
         format!("<p class=\"scale\">{} {unit} <svg viewBox=\"0 0 140 12\">", three(least));
     for i in 0..HEATS {
@@ -111,7 +119,7 @@ fn scale(least: f64, most: f64, unit: &str) -> String {
             20 * i
         );
     }
-    let _ = write!(out, "</svg> {} {unit} and more</p>", three(most));
+    let _ = write!(out, "</svg> {} {most_unit}</p>", three(most));
     out
 }
 
