@@ -9,6 +9,7 @@
 
 pub mod error;
 pub mod eval;
+pub mod metrics;
 pub mod pose;
 pub mod rotation;
 

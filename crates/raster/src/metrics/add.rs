@@ -1,0 +1,234 @@
+//! ADD, the mean distance of corresponding model points (Hinterstoisser et al., ACCV 2012).
+
+use super::motion::{Motion, Screw};
+use super::vertices::{Block, CountedBlock, LANES, VertexSet};
+use crate::pose::Pose;
+
+/// Mean over all model points of `|(R_est p + t_est) - (R_gt p + t_gt)|`, in metres.
+///
+/// Exact to about 1e-15 of itself, exactly 0 for equal poses, and without NaN for finite poses; a
+/// distance that no `f64` can hold is infinite.
+#[must_use]
+pub fn add(set: &VertexSet, est: &Pose, gt: &Pose) -> f64 {
+    match Motion::between(set, est, gt) {
+        Motion::Far(distance) => distance,
+        Motion::Near(moved) => moved.screw(set.extent).map_or(0.0, |screw| {
+            let [sum] = sums(set, [screw]);
+            mean(set, &screw, sum)
+        }),
+    }
+}
+
+/// ADD of two pairs `(est, gt)` at once, each bit for bit what [`add`] gives.
+pub(crate) fn add_two(set: &VertexSet, pairs: [(&Pose, &Pose); 2]) -> [f64; 2] {
+    let screw = |(est, gt)| match Motion::between(set, est, gt) {
+        Motion::Far(_) => None,
+        Motion::Near(moved) => moved.screw(set.extent),
+    };
+    if let (Some(first), Some(second)) = (screw(pairs[0]), screw(pairs[1])) {
+        let [a, b] = sums(set, [first, second]);
+        [mean(set, &first, a), mean(set, &second, b)]
+    } else {
+        pairs.map(|(est, gt)| add(set, est, gt))
+    }
+}
+
+/// Bounds `(low, high)` of ADD in metres, without touching a point: the displacement of the mean
+/// point, and the root of the mean squared displacement (from the covariance of the points).
+/// They are wide enough that `low <= add(..) <= high` holds for the rounded value too.
+#[must_use]
+pub fn add_bounds(set: &VertexSet, est: &Pose, gt: &Pose) -> (f64, f64) {
+    match Motion::between(set, est, gt) {
+        Motion::Far(distance) => (distance, distance),
+        Motion::Near(moved) => {
+            let (low, high) = moved.bounds(set);
+            (low * set.unit, high * set.unit)
+        }
+    }
+}
+
+/// Whether `add(..) < threshold` (metres, strict), decided by the bounds where they suffice.
+#[must_use]
+pub fn add_below(set: &VertexSet, est: &Pose, gt: &Pose, threshold: f64) -> bool {
+    let (low, high) = add_bounds(set, est, gt);
+    if low >= threshold {
+        return false;
+    }
+    high < threshold || add(set, est, gt) < threshold
+}
+
+fn mean(set: &VertexSet, screw: &Screw, sum: f64) -> f64 {
+    sum / set.total() as f64 * screw.scale * set.unit
+}
+
+/// Sums over all points of `sqrt(s)` for each motion.
+///
+/// Added to every square: 1e-18 of the largest displacement where a point does not move at all,
+/// nothing anywhere else; it keeps reciprocals finite and single precision normal.
+const FLOOR: f64 = 7.523_163_845_262_64e-37; // 2^-120
+
+fn sums<const P: usize>(set: &VertexSet, mut screws: [Screw; P]) -> [f64; P] {
+    for screw in &mut screws {
+        screw.w2 += FLOOR;
+    }
+    let mut total = [0.0; P];
+    for run in &set.runs {
+        let sum = whole_sums(&run.blocks, &screws);
+        for (t, s) in total.iter_mut().zip(sum) {
+            *t += s * run.count;
+        }
+    }
+    let rest = counted_sums(&set.rest, &screws);
+    for (t, s) in total.iter_mut().zip(rest) {
+        *t += s;
+    }
+    total
+}
+
+/// Sum of `sqrt(s)` over whole blocks.
+#[multiversion::multiversion(targets(
+    "x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma",
+    "x86_64+avx2+fma"
+))]
+fn whole_sums<const P: usize>(blocks: &[Block], screws: &[Screw; P]) -> [f64; P] {
+    multiversion::target::match_target! {
+        "x86_64+avx512f" => avx512::whole_sums(blocks, screws),
+        "x86_64+avx2+fma" => plain::<P, true, true>(blocks, screws),
+        _ => plain::<P, FUSED, false>(blocks, screws),
+    }
+}
+
+/// Sum of `count * sqrt(s)` over counted blocks: few, so any square root will do.
+#[multiversion::multiversion(targets("x86_64+avx2+fma"))]
+fn counted_sums<const P: usize>(blocks: &[CountedBlock], screws: &[Screw; P]) -> [f64; P] {
+    multiversion::target::match_target! {
+        "x86_64+avx2+fma" => plain_counted::<P, true>(blocks, screws),
+        _ => plain_counted::<P, FUSED>(blocks, screws),
+    }
+}
+
+/// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
+/// `mul_add` is a library call.
+pub(crate) const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
+
+/// `a * b + c`.
+#[inline(always)]
+pub(crate) fn mul_add<const FMA: bool>(a: f64, b: f64, c: f64) -> f64 {
+    if FMA { a.mul_add(b, c) } else { a * b + c }
+}
+
+/// The square of a displacement in the screw form.
+#[inline(always)]
+pub(crate) fn squared<const FMA: bool>(k: &Screw, x: f64, y: f64, z: f64) -> f64 {
+    let a = mul_add::<FMA>(k.u[0], y, mul_add::<FMA>(k.u[1], z, k.u[2]));
+    let b = mul_add::<FMA>(k.v[1], y, mul_add::<FMA>(k.v[2], z, k.v[3]));
+    let b = mul_add::<FMA>(k.v[0], x, b);
+    mul_add::<FMA>(a, a, mul_add::<FMA>(b, b, k.w2))
+}
+
+/// `SINGLE` takes the root in single precision and corrects it by one Newton step in double, which
+/// leaves a relative error of 2e-15.
+#[inline(always)]
+fn plain<const P: usize, const FMA: bool, const SINGLE: bool>(
+    blocks: &[Block],
+    screws: &[Screw; P],
+) -> [f64; P] {
+    let mut sum = [[0.0; LANES]; P];
+    for b in blocks {
+        for (sum, k) in sum.iter_mut().zip(screws) {
+            for l in 0..LANES {
+                let s = squared::<FMA>(k, b.x[l], b.y[l], b.z[l]);
+                sum[l] += if SINGLE {
+                    let root = (s as f32).sqrt();
+                    let half = f64::from(0.5 / root);
+                    let root = f64::from(root);
+                    mul_add::<FMA>(mul_add::<FMA>(-root, root, s), half, root)
+                } else {
+                    s.sqrt()
+                };
+            }
+        }
+    }
+    sum.map(|lanes| fold(&lanes))
+}
+
+#[inline(always)]
+fn plain_counted<const P: usize, const FMA: bool>(
+    blocks: &[CountedBlock],
+    screws: &[Screw; P],
+) -> [f64; P] {
+    let mut sum = [[0.0; LANES]; P];
+    for CountedBlock { points: b, count } in blocks {
+        for (sum, k) in sum.iter_mut().zip(screws) {
+            for l in 0..LANES {
+                let root = squared::<FMA>(k, b.x[l], b.y[l], b.z[l]).sqrt();
+                sum[l] = mul_add::<FMA>(root, count[l], sum[l]);
+            }
+        }
+    }
+    sum.map(|lanes| fold(&lanes))
+}
+
+/// Sum of the lanes in a fixed order.
+#[inline(always)]
+fn fold(lanes: &[f64; LANES]) -> f64 {
+    let mut sum = *lanes;
+    let mut half = LANES / 2;
+    while half > 0 {
+        for l in 0..half {
+            sum[l] += sum[l + half];
+        }
+        half /= 2;
+    }
+    sum[0]
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx512 {
+    use std::arch::x86_64::{
+        __m512d, _mm512_add_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd, _mm512_mul_pd,
+        _mm512_reduce_add_pd, _mm512_rsqrt14_pd, _mm512_set1_pd, _mm512_setr_pd,
+        _mm512_setzero_pd,
+    };
+
+    use super::{Block, LANES, Screw};
+
+    /// Half a row of a block: one load.
+    #[inline]
+    #[target_feature(enable = "avx512f")]
+    fn load(row: &[f64; LANES], at: usize) -> __m512d {
+        let r = &row[at..at + 8];
+        _mm512_setr_pd(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7])
+    }
+
+    /// The root without a division or a square root: the machine's reciprocal root `g` is good to
+    /// 2^-14, so with `r = s g` and `e = 1 - r g` (below 1.3e-4) the root is
+    /// `r (1 + e/2 + 3/8 e² + 5/16 e³)` to 1e-16.
+    #[inline]
+    #[target_feature(enable = "avx512f")]
+    pub(super) fn whole_sums<const P: usize>(blocks: &[Block], screws: &[Screw; P]) -> [f64; P] {
+        let u = screws.map(|k| k.u.map(|c| _mm512_set1_pd(c)));
+        let v = screws.map(|k| k.v.map(|c| _mm512_set1_pd(c)));
+        let w2 = screws.map(|k| _mm512_set1_pd(k.w2));
+        let [one, half, c2, c3] = [1.0, 0.5, 0.375, 0.3125].map(|c| _mm512_set1_pd(c));
+        let mut sum = [[_mm512_setzero_pd(); 2]; P];
+        for b in blocks {
+            for h in 0..2 {
+                let (x, y, z) = (load(&b.x, 8 * h), load(&b.y, 8 * h), load(&b.z, 8 * h));
+                for k in 0..P {
+                    let (u, v, sum) = (&u[k], &v[k], &mut sum[k][h]);
+                    let a = _mm512_fmadd_pd(u[0], y, _mm512_fmadd_pd(u[1], z, u[2]));
+                    let c = _mm512_fmadd_pd(v[1], y, _mm512_fmadd_pd(v[2], z, v[3]));
+                    let c = _mm512_fmadd_pd(v[0], x, c);
+                    let s = _mm512_fmadd_pd(a, a, _mm512_fmadd_pd(c, c, w2[k]));
+                    let g = _mm512_rsqrt14_pd(s);
+                    let r = _mm512_mul_pd(s, g);
+                    let e = _mm512_fnmadd_pd(r, g, one);
+                    let q = _mm512_fmadd_pd(e, _mm512_fmadd_pd(e, c3, c2), half);
+                    *sum = _mm512_fmadd_pd(r, _mm512_fmadd_pd(e, q, one), *sum);
+                }
+            }
+        }
+        sum.map(|[a, b]| _mm512_reduce_add_pd(_mm512_add_pd(a, b)))
+    }
+}
