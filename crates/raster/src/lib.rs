@@ -7,6 +7,7 @@
 //! Layers, each of which knows only those before it: `rotation pose camera symmetry mesh`, then
 //! `metrics`, then `io`, then `eval`, then `report`, then `cli` and `python`.
 
+pub mod camera;
 pub mod error;
 pub mod eval;
 pub mod metrics;

@@ -61,12 +61,11 @@ fn mean(set: &VertexSet, screw: &Screw, sum: f64) -> f64 {
     sum / set.total() as f64 * screw.scale * set.unit
 }
 
-/// Sums over all points of `sqrt(s)` for each motion.
-///
 /// Added to every square: 1e-18 of the largest displacement where a point does not move at all,
 /// nothing anywhere else; it keeps reciprocals finite and single precision normal.
 const FLOOR: f64 = 7.523_163_845_262_64e-37; // 2^-120
 
+/// Sums over all points of `sqrt(s)` for each motion.
 fn sums<const P: usize>(set: &VertexSet, mut screws: [Screw; P]) -> [f64; P] {
     for screw in &mut screws {
         screw.w2 += FLOOR;
@@ -187,8 +186,7 @@ fn fold(lanes: &[f64; LANES]) -> f64 {
 mod avx512 {
     use std::arch::x86_64::{
         __m512d, _mm512_add_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd, _mm512_mul_pd,
-        _mm512_reduce_add_pd, _mm512_rsqrt14_pd, _mm512_set1_pd, _mm512_setr_pd,
-        _mm512_setzero_pd,
+        _mm512_reduce_add_pd, _mm512_rsqrt14_pd, _mm512_set1_pd, _mm512_setr_pd, _mm512_setzero_pd,
     };
 
     use super::{Block, LANES, Screw};
@@ -230,5 +228,123 @@ mod avx512 {
             }
         }
         sum.map(|[a, b]| _mm512_reduce_add_pd(_mm512_add_pd(a, b)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec3};
+    use proptest::prelude::*;
+
+    use super::super::vertices::blocks;
+    use super::*;
+    use crate::metrics::oracle::{self, close};
+
+    fn slow(points: &[DVec3], est: &Pose, gt: &Pose) -> f64 {
+        let distance = |p: &DVec3| est.transform_point(*p).distance(gt.transform_point(*p));
+        points.iter().map(distance).sum::<f64>() / points.len() as f64
+    }
+
+    proptest! {
+        #[test]
+        fn equals_the_plain_mean((points, est, gt) in oracle::scene()) {
+            let set = VertexSet::new(&points).expect("points");
+            let fast = add(&set, &est, &gt);
+            // The plain form loses digits by cancellation: 1e-15 of the metres in the poses.
+            prop_assert!(close(fast, slow(&points, &est, &gt), 2e-15), "{fast}");
+            prop_assert_eq!(add(&set, &gt, &gt), 0.0);
+            let two = add_two(&set, [(&est, &gt), (&gt, &est)]);
+            prop_assert_eq!(two, [fast, add(&set, &gt, &est)]);
+            prop_assert_eq!(add_two(&set, [(&gt, &gt), (&est, &gt)]), [0.0, fast]);
+        }
+
+        #[test]
+        fn bounds_hold_and_decide_as_the_value((points, est, gt) in oracle::scene(), factor in 0.5..2.0_f64) {
+            let set = VertexSet::new(&points).expect("points");
+            let exact = add(&set, &est, &gt);
+            let (low, high) = add_bounds(&set, &est, &gt);
+            prop_assert!(low <= exact && exact <= high, "{low} {exact} {high}");
+            for threshold in [exact, exact * factor, exact.next_up(), low, high, 0.0, f64::NAN] {
+                prop_assert_eq!(add_below(&set, &est, &gt, threshold), exact < threshold);
+            }
+        }
+
+        #[test]
+        fn every_instruction_set_gives_the_same_mean((points, est, gt) in oracle::scene()) {
+            let set = VertexSet::new(&points).expect("points");
+            let Motion::Near(moved) = Motion::between(&set, &est, &gt) else { panic!("near") };
+            let Some(mut screw) = moved.screw(set.extent) else { panic!("moves") };
+            screw.w2 += FLOOR;
+            let all = blocks(&points);
+            let [fast] = whole_sums(&all, &[screw]);
+            for other in [
+                plain::<1, false, false>(&all, &[screw]),
+                plain::<1, false, true>(&all, &[screw]),
+                plain::<1, true, true>(&all, &[screw]),
+            ] {
+                prop_assert!((fast - other[0]).abs() <= 1e-13 * fast);
+            }
+        }
+
+        #[test]
+        fn tiny_and_huge_motions_keep_their_digits(
+            (points, est, gt) in oracle::scene(), exponent in -300..300_i32,
+        ) {
+            let set = VertexSet::new(&points).expect("points");
+            let shift = est.translation - gt.translation;
+            let scale = 10.0_f64.powi(exponent);
+            // Pure translation from the origin, so that nothing rounds the shift itself.
+            let gt = Pose::new(gt.rotation, DVec3::ZERO);
+            let moved = Pose::new(gt.rotation, shift * scale);
+            let expected = shift.length() * scale;
+            prop_assert!(close(add(&set, &moved, &gt), expected, 0.0));
+            // The whole scene grown or shrunk.
+            let grown: Vec<DVec3> = points.iter().map(|p| *p * scale).collect();
+            let large = VertexSet::new(&grown).expect("points");
+            let at = |pose: &Pose| Pose { translation: pose.translation * scale, ..*pose };
+            let (e, g) = (at(&est), at(&gt));
+            let expected = add(&set, &est, &gt) * scale;
+            prop_assert!(close(add(&large, &e, &g), expected, 1e-15 * scale));
+            let (low, high) = add_bounds(&large, &e, &g);
+            let value = add(&large, &e, &g);
+            prop_assert!(low <= value && value <= high);
+        }
+    }
+
+    #[test]
+    fn extreme_numbers_make_no_nan() {
+        let all = [0.0, 5e-324, 1e-300, 1e-200, 1.0, 1e200, f64::MAX];
+        for a in all {
+            let points = [DVec3::new(a, 0.0, -a), DVec3::new(-a, a / 3.0, 0.0), DVec3::ZERO];
+            let set = VertexSet::new(&points).expect("points");
+            for t in all {
+                for angle in all {
+                    let turn = DQuat::from_xyzw(angle.min(0.6), 0.0, 0.0, 0.8).normalize();
+                    let est = Pose::new(turn, DVec3::new(t, -t, t / 7.0));
+                    let gt = Pose::new(DQuat::IDENTITY, DVec3::new(-t, 0.0, 0.0));
+                    let value = add(&set, &est, &gt);
+                    let (low, high) = add_bounds(&set, &est, &gt);
+                    assert!(low <= value && value <= high, "{a} {t} {angle}: {low} {value} {high}");
+                    assert!(value >= 0.0, "{a} {t} {angle}: {value}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_tiny_turn_has_its_first_order_error() {
+        let set = VertexSet::new(&[DVec3::X, -DVec3::X]).expect("points");
+        let gt = Pose::IDENTITY;
+        for half in [1e-300, 1e-170, 1e-100, 1e-20, 1e-9] {
+            let est = Pose::new(DQuat::from_xyzw(0.0, half, 0.0, 1.0), DVec3::ZERO);
+            assert!((add(&set, &est, &gt) / (2.0 * half) - 1.0).abs() < 1e-14, "{half}");
+        }
+    }
+
+    #[test]
+    fn points_on_the_axis_do_not_move() {
+        let set = VertexSet::new(&[DVec3::Z, -DVec3::Z, DVec3::Z * 0.5]).expect("points");
+        let est = Pose::new(DQuat::from_xyzw(0.0, 0.0, 0.6, 0.8), DVec3::ZERO);
+        assert!(add(&set, &est, &Pose::IDENTITY) < 1e-15);
     }
 }

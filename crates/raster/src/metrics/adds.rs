@@ -1,7 +1,9 @@
 //! ADD-S (also ADI), the mean distance to the nearest model point, for symmetric objects
 //! (Hinterstoisser et al., ACCV 2012).
 
-use super::motion::Motion;
+use glam::DVec3;
+
+use super::motion::{Motion, Moved, turn_minus_one};
 use super::nearest::grid::{Grid, Images, Index, OUTSIDE, TILE};
 use super::nearest::{Grids, NearestVertex, squared_distance};
 use super::vertices::{Block, LANES, VertexSet};
@@ -37,14 +39,9 @@ struct Map {
 }
 
 impl Map {
-    fn new(moved: &super::motion::Moved) -> Self {
-        use super::motion::turn_minus_one;
+    fn new(moved: &Moved) -> Self {
         let column = |axis| turn_minus_one(moved.v, moved.w, axis).to_array();
-        let (x, y, z) = (
-            column(glam::DVec3::X),
-            column(glam::DVec3::Y),
-            column(glam::DVec3::Z),
-        );
+        let (x, y, z) = (column(DVec3::X), column(DVec3::Y), column(DVec3::Z));
         let d = moved.d.to_array();
         Self { rows: std::array::from_fn(|k| [x[k], y[k], z[k], d[k]]) }
     }
@@ -117,9 +114,9 @@ fn sum<I: Index>(nearest: &NearestVertex, [near, far]: &[Grid<I>; 2], map: &Map)
 fn image(map: &Map, block: &Block, q: &mut Images, at: usize) {
     let [a, b, c] = &map.rows;
     let Block { x, y, z } = block;
-    let qx: &mut [f64; LANES] = (&mut q.x[at..at + LANES]).try_into().unwrap();
-    let qy: &mut [f64; LANES] = (&mut q.y[at..at + LANES]).try_into().unwrap();
-    let qz: &mut [f64; LANES] = (&mut q.z[at..at + LANES]).try_into().unwrap();
+    let qx = &mut q.x[at..at + LANES];
+    let qy = &mut q.y[at..at + LANES];
+    let qz = &mut q.z[at..at + LANES];
     for l in 0..LANES {
         qx[l] = x[l] + (a[0] * x[l] + a[1] * y[l] + a[2] * z[l] + a[3]);
         qy[l] = y[l] + (b[0] * x[l] + b[1] * y[l] + b[2] * z[l] + b[3]);
@@ -146,4 +143,70 @@ fn elsewhere<I: Index>(
         return if cell.more == 0 { best } else { far.spilled(points, cell.more, q, best) };
     }
     nearest.tree.nearest(points, q, squared_distance(seed, q))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::metrics::oracle::{self, close};
+
+    fn slow(points: &[DVec3], est: &Pose, gt: &Pose) -> f64 {
+        let there: Vec<DVec3> = points.iter().map(|p| est.transform_point(*p)).collect();
+        let nearest = |p: &DVec3| {
+            let q = gt.transform_point(*p);
+            there.iter().map(|e| e.distance_squared(q)).fold(f64::INFINITY, f64::min).sqrt()
+        };
+        points.iter().map(nearest).sum::<f64>() / points.len() as f64
+    }
+
+    proptest! {
+        #[test]
+        fn equals_the_comparison_of_all_pairs((points, est, gt) in oracle::scene()) {
+            let set = VertexSet::new(&points).expect("points");
+            prop_assert!(close(adds(&set, &est, &gt), slow(&points, &est, &gt), 2e-15));
+            prop_assert_eq!(adds(&set, &gt, &gt), 0.0);
+        }
+    }
+
+    #[test]
+    fn flat_long_and_single_models_work() {
+        let line: Vec<DVec3> = (0..50).map(|k| DVec3::X * f64::from(k)).collect();
+        let plane: Vec<DVec3> =
+            (0..64).map(|k| DVec3::new(f64::from(k % 8), f64::from(k / 8), 0.0)).collect();
+        let gt = Pose::new(glam::DQuat::IDENTITY, DVec3::Z * 100.0);
+        let turn = glam::DQuat::from_rotation_y(0.3);
+        for points in [line, plane, vec![DVec3::ONE], vec![DVec3::ZERO; 3]] {
+            let set = VertexSet::new(&points).expect("points");
+            for shift in [0.0, 0.4, 30.0, 1e6] {
+                let est = Pose::new(turn, DVec3::new(shift, -shift, 100.0));
+                let expected = slow(&points, &est, &gt);
+                assert!(close(adds(&set, &est, &gt), expected, 1e-13), "{shift}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_way_goes_from_the_true_pose_to_the_estimate() {
+        // Two points far apart against one: from the pair both distances count.
+        let set = VertexSet::new(&[DVec3::ZERO, DVec3::X]).expect("points");
+        let est = Pose::new(glam::DQuat::from_rotation_z(1.0), DVec3::ZERO);
+        let far = 2.0 * 0.5_f64.sin();
+        assert!((adds(&set, &est, &Pose::IDENTITY) - 0.5 * far).abs() < 1e-15);
+    }
+
+    #[test]
+    fn extreme_numbers_make_no_nan() {
+        let all = [0.0, 5e-324, 1e-200, 1.0, 1e200, f64::MAX];
+        for a in all {
+            let points = [DVec3::new(a, 0.0, -a), DVec3::new(-a, a / 3.0, 0.0), DVec3::ZERO];
+            let set = VertexSet::new(&points).expect("points");
+            for t in all {
+                let est = Pose::new(glam::DQuat::from_rotation_x(0.5), DVec3::new(t, -t, t / 7.0));
+                let value = adds(&set, &est, &Pose::IDENTITY);
+                assert!(value >= 0.0, "{a} {t}: {value}");
+            }
+        }
+    }
 }

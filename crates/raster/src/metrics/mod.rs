@@ -11,6 +11,8 @@ mod motion;
 pub mod mspd;
 pub mod mssd;
 pub mod nearest;
+#[cfg(test)]
+pub(crate) mod oracle;
 pub mod symmetry;
 pub mod vertices;
 

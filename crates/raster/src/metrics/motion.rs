@@ -96,11 +96,7 @@ impl Moved {
         let scale = power_of_two_below(largest);
         let (twice, d) = (2.0 * s / scale, self.d / scale);
         let flat = (n.y * n.y + n.z * n.z).sqrt();
-        let e1 = if flat > 1e-100 {
-            DVec3::new(0.0, n.z / flat, -n.y / flat)
-        } else {
-            DVec3::Y
-        };
+        let e1 = if flat > 1e-100 { DVec3::new(0.0, n.z / flat, -n.y / flat) } else { DVec3::Y };
         let e2 = n.cross(e1);
         let (d1, d2, along) = (e1.dot(d), e2.dot(d), n.dot(d));
         let (r1, r2) = (e1 * twice, e2 * twice);
@@ -110,6 +106,14 @@ impl Moved {
             w2: along * along,
             scale,
         })
+    }
+
+    /// The root of the mean squared displacement in units, a little less than which it certainly
+    /// is: no greatest displacement is below.
+    pub(crate) fn root_mean_square(&self, set: &VertexSet) -> f64 {
+        let (_, high) = self.bounds(set);
+        let (_, s) = self.axis();
+        (high * (1.0 - 4.0 * SLACK) - 8.0 * s * SLACK).max(0.0)
     }
 
     /// Bounds of the mean displacement in units: that of the mean point, and the root mean square,

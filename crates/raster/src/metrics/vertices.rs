@@ -57,6 +57,8 @@ pub struct VertexSet {
     pub(crate) covariance: DMat3,
     pub(crate) runs: Vec<Run>,
     pub(crate) rest: Vec<CountedBlock>,
+    /// All distinct points with their numbers: `runs` and `rest` in one.
+    pub(crate) all: Vec<CountedBlock>,
     pub(crate) hull: Vec<Block>,
     nearest: OnceLock<NearestVertex>,
 }
@@ -121,6 +123,7 @@ impl VertexSet {
             }
         };
         let (runs, rest) = by_count(&centred, &counts);
+        let all = counted(&centred, &counts);
         Ok(Self {
             total: given.len(),
             points,
@@ -131,6 +134,7 @@ impl VertexSet {
             covariance,
             runs,
             rest,
+            all,
             hull,
             nearest: OnceLock::new(),
         })
@@ -227,14 +231,20 @@ fn by_count(points: &[DVec3], counts: &[u32]) -> (Vec<Run>, Vec<CountedBlock>) {
         }
         rest.extend_from_slice(left);
     }
-    let rest = rest
+    let (points, counts): (Vec<_>, Vec<_>) = rest.iter().map(|&k| (points[k], counts[k])).unzip();
+    (runs, counted(&points, &counts))
+}
+
+/// Blocks of sixteen; the last is filled up with its last point, zero times.
+pub(crate) fn counted(points: &[DVec3], counts: &[u32]) -> Vec<CountedBlock> {
+    points
         .chunks(LANES)
-        .map(|chunk| CountedBlock {
-            points: block(&chunk.iter().map(|&k| points[k]).collect::<Vec<_>>()),
-            count: std::array::from_fn(|l| chunk.get(l).map_or(0.0, |&k| f64::from(counts[k]))),
+        .zip(counts.chunks(LANES))
+        .map(|(points, counts)| CountedBlock {
+            points: block(points),
+            count: std::array::from_fn(|l| counts.get(l).map_or(0.0, |&n| f64::from(n))),
         })
-        .collect();
-    (runs, rest)
+        .collect()
 }
 
 #[cfg(test)]

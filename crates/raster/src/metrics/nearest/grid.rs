@@ -165,10 +165,10 @@ impl<I: Index> Grid<I> {
     /// [`Grid::position`] of sixteen points.
     #[inline(always)]
     pub(crate) fn positions(&self, q: &Images, at: usize, position: &mut [u32; TILE]) {
-        let qx: &[f64; LANES] = q.x[at..at + LANES].try_into().unwrap();
-        let qy: &[f64; LANES] = q.y[at..at + LANES].try_into().unwrap();
-        let qz: &[f64; LANES] = q.z[at..at + LANES].try_into().unwrap();
-        let position: &mut [u32; LANES] = (&mut position[at..at + LANES]).try_into().unwrap();
+        let qx = &q.x[at..at + LANES];
+        let qy = &q.y[at..at + LANES];
+        let qz = &q.z[at..at + LANES];
+        let position = &mut position[at..at + LANES];
         let outside = (self.top.len() as u32 - 1) << 6;
         let size = self.size.map(f64::from);
         for l in 0..LANES {
@@ -233,7 +233,7 @@ impl<I: Index> Builder<'_, I> {
         let list = region.filter(self.points, list);
         let size = [to[0] - from[0], to[1] - from[1], to[2] - from[2]];
         if size == [1; 3] {
-            let entry = self.divide(region, list, 2);
+            let entry = self.divide(region, &list);
             let top = (from[2] * self.tops[1] + from[1]) * self.tops[0] + from[0];
             self.grid.top[top as usize] = entry;
             return;
@@ -254,8 +254,8 @@ impl<I: Index> Builder<'_, I> {
     }
 
     /// The cells of one top cell: one, 8 or 64.
-    fn divide(&mut self, region: Region, list: Vec<u32>, _levels: u32) -> u32 {
-        let whole = region.candidates(self.points, &list);
+    fn divide(&mut self, region: Region, list: &[u32]) -> u32 {
+        let whole = region.candidates(self.points, list);
         let first = self.grid.cells.len() as u32;
         if whole.len() <= self.fine.divide_above {
             self.store(&whole);

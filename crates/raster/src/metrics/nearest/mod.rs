@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use self::grid::Grid;
 use self::tree::Tree;
-use super::vertices::{Block, CountedBlock, LANES};
+use super::vertices::{CountedBlock, counted};
 
 /// Number of distinct vertices up to which cells hold 16-bit indices.
 const SHORT: usize = 1 << 16;
@@ -45,13 +45,11 @@ impl NearestVertex {
         let mut order: Vec<usize> = (0..points.len()).collect();
         let size = (high - low).max_element().max(f64::MIN_POSITIVE);
         order.sort_by_cached_key(|&k| curve((points[k] - low) / size));
-        let points: Vec<[f64; 4]> = order
-            .iter()
-            .map(|&k| {
-                let p = points[k];
-                [p.x, p.y, p.z, f64::from(counts[k])]
-            })
-            .collect();
+        let (points, counts): (Vec<DVec3>, Vec<u32>) =
+            order.iter().map(|&k| (points[k], counts[k])).unzip();
+        let blocks = counted(&points, &counts);
+        let points: Vec<[f64; 4]> =
+            points.iter().zip(&counts).map(|(p, &n)| [p.x, p.y, p.z, f64::from(n)]).collect();
         let diagonal = (high - low).length();
         let near = (low - 0.08 * diagonal, high + 0.08 * diagonal);
         let far = (low - diagonal, high + diagonal);
@@ -67,20 +65,6 @@ impl NearestVertex {
             ]))
         };
         let tree = Tree::new(&points);
-        let blocks = points
-            .chunks(LANES)
-            .map(|chunk| {
-                let at = |l: usize, k: usize| chunk[l.min(chunk.len() - 1)][k];
-                CountedBlock {
-                    points: Block {
-                        x: std::array::from_fn(|l| at(l, 0)),
-                        y: std::array::from_fn(|l| at(l, 1)),
-                        z: std::array::from_fn(|l| at(l, 2)),
-                    },
-                    count: std::array::from_fn(|l| chunk.get(l).map_or(0.0, |p| p[3])),
-                }
-            })
-            .collect();
         Self { points, blocks, grids, tree }
     }
 
@@ -118,4 +102,109 @@ fn curve(p: DVec3) -> u64 {
         bits
     };
     spread(p.x) | (spread(p.y) << 1) | (spread(p.z) << 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::VertexSet;
+
+    fn noise(seed: &mut u64) -> f64 {
+        *seed =
+            seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (*seed >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    }
+
+    fn check<I: grid::Index>(nearest: &NearestVertex, grids: &[Grid<I>; 2], q: [f64; 3]) {
+        let points = &nearest.points[..];
+        let all = points.iter().map(|p| squared_distance(p, q)).fold(f64::INFINITY, f64::min);
+        let seed = squared_distance(&points[0], q);
+        assert_eq!(nearest.tree.nearest(points, q, seed), all, "tree {q:?}");
+        for grid in grids {
+            let cell = grid.cell(q);
+            if cell.more >= grid::OUTSIDE {
+                continue;
+            }
+            let mut best = f64::INFINITY;
+            for k in cell.slots {
+                best = best.min(squared_distance(&points[k.at()], q));
+            }
+            if cell.more != 0 {
+                best = grid.spilled(points, cell.more, q, best);
+            }
+            assert_eq!(best, all, "grid {q:?}");
+        }
+    }
+
+    fn check_set(points: &[DVec3], queries: usize, seed: u64) {
+        let set = VertexSet::new(points).expect("points");
+        let nearest = set.nearest();
+        let mut seed = seed;
+        for k in 0..queries {
+            let reach = [0.5, 1.0, 2.0, 5.0, 50.0][k % 5];
+            let mut q = [(); 3].map(|()| noise(&mut seed) * reach);
+            if k % 3 == 0 {
+                // On a vertex, and on the border of a cell.
+                let p = nearest.points[k % nearest.points.len()];
+                q = [p[0], p[1], p[2]];
+            }
+            match &nearest.grids {
+                Grids::Short(grids) => check(nearest, grids, q),
+                Grids::Long(grids) => check(nearest, grids, q),
+            }
+        }
+    }
+
+    #[test]
+    fn each_search_finds_the_nearest_to_the_last_bit() {
+        let mut seed = 1;
+        for n in [1, 2, 17, 400, 3000] {
+            let points: Vec<DVec3> = (0..n)
+                .map(|_| DVec3::new(noise(&mut seed), noise(&mut seed), 0.4 * noise(&mut seed)))
+                .collect();
+            check_set(&points, 500, seed);
+        }
+    }
+
+    #[test]
+    fn ties_and_spheres_are_no_trouble() {
+        let lattice: Vec<DVec3> = (0..1000_u32)
+            .map(|k| {
+                DVec3::new(f64::from(k % 10), f64::from(k / 10 % 10), f64::from(k / 100)) * 0.1
+            })
+            .collect();
+        check_set(&lattice, 1000, 2);
+        // Every vertex is nearest to some point about the centre.
+        let mut seed = 3;
+        let sphere: Vec<DVec3> = (0..2000)
+            .map(|_| DVec3::new(noise(&mut seed), noise(&mut seed), noise(&mut seed)).normalize())
+            .collect();
+        check_set(&sphere, 1000, 3);
+        let line: Vec<DVec3> = (0..100).map(|k| DVec3::X * f64::from(k)).collect();
+        check_set(&line, 1000, 4);
+    }
+
+    #[test]
+    #[ignore = "some seconds; for the release build"]
+    fn a_hundred_thousand_vertices_stay_small() {
+        let mut seed = 5;
+        for kind in 0..3 {
+            let points: Vec<DVec3> = (0..100_000)
+                .map(|_| {
+                    let p = DVec3::new(noise(&mut seed), noise(&mut seed), noise(&mut seed));
+                    match kind {
+                        0 => p,
+                        1 => p.normalize() * 0.999,
+                        _ => DVec3::new(p.x, p.y, 0.1 * (3.0 * p.x).sin()),
+                    }
+                })
+                .collect();
+            let start = std::time::Instant::now();
+            let set = VertexSet::new(&points).expect("points");
+            let bytes = set.nearest().bytes();
+            let seconds = start.elapsed().as_secs_f64();
+            assert!(bytes < 100_000_000 && seconds < 2.0, "{kind}: {bytes} bytes, {seconds} s");
+            check_set(&points, 200, seed);
+        }
+    }
 }

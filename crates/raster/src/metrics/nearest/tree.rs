@@ -111,9 +111,6 @@ fn gaps(boxes: &Boxes, q: [f64; 3]) -> [f64; WIDTH] {
 fn bound(boxes: impl Iterator<Item = [[f64; 3]; 2]>) -> [[f64; 3]; 2] {
     let empty = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
     boxes.fold(empty, |[low, high], [l, h]| {
-        [
-            std::array::from_fn(|k| low[k].min(l[k])),
-            std::array::from_fn(|k| high[k].max(h[k])),
-        ]
+        [std::array::from_fn(|k| low[k].min(l[k])), std::array::from_fn(|k| high[k].max(h[k]))]
     })
 }
