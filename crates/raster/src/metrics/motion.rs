@@ -48,7 +48,11 @@ impl Motion {
             let scale = power_of_two_below(largest);
             return Self::Far((half / scale).length() * scale * 2.0);
         }
-        let shift = (est.translation - gt.translation) / set.unit;
+        let shift = if largest > 1e300 {
+            half / set.unit * 2.0
+        } else {
+            (est.translation - gt.translation) / set.unit
+        };
         let (v, w) = relative(gt.rotation, est.rotation);
         let d = gt.matrix().transpose() * shift;
         Self::Near(Moved { v, w, d: d + turn_minus_one(v, w, set.centre) })

@@ -35,6 +35,9 @@ pub(crate) struct Images {
 /// Added to a number in `0..2^31`, leaves it rounded to an integer in the low bits.
 const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
 
+/// Two opposite corners of a box.
+pub(crate) type Corners = (DVec3, DVec3);
+
 /// How fine a grid is.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fineness {
@@ -104,7 +107,10 @@ pub(crate) struct Grid<I> {
 }
 
 impl<I: Index> Grid<I> {
-    pub(crate) fn new(points: &[[f64; 4]], (low, high): (DVec3, DVec3), fine: Fineness) -> Self {
+    pub(crate) fn new(points: &[[f64; 4]], (low, high): Corners, fine: Fineness) -> Self {
+        // Of very many vertices every cell of such a grid has several: more and shallower ones.
+        let many = points.len() > 20_000;
+        let fine = Fineness { cells: fine.cells * if many { 4.0 } else { 1.0 }, ..fine };
         let extent = (high - low).max(DVec3::splat(1e-9 * (high - low).max_element()));
         let extent = if extent.max_element() > 0.0 { extent } else { DVec3::ONE };
         let edge = (extent.x * extent.y * extent.z / fine.cells).cbrt();
@@ -117,6 +123,9 @@ impl<I: Index> Grid<I> {
             low,
             edge,
             tops,
+            margin: 1e-14 * (low.abs().max(high.abs())).length_squared(),
+            shallow: many,
+            rivals: Vec::new(),
             grid: Self {
                 low: low.to_array(),
                 per_unit: 4.0 / edge,
@@ -220,6 +229,9 @@ struct Builder<'a, I> {
     low: DVec3,
     edge: f64,
     tops: [u32; 3],
+    margin: f64,
+    shallow: bool,
+    rivals: Vec<Rival>,
     grid: Grid<I>,
 }
 
@@ -229,8 +241,9 @@ impl<I: Index> Builder<'_, I> {
         let corner = |c: [u32; 3]| {
             self.low + DVec3::new(f64::from(c[0]), f64::from(c[1]), f64::from(c[2])) * self.edge
         };
-        let region = Region::new(corner(from), corner(to));
-        let list = region.filter(self.points, list);
+        let region = Region::new(corner(from), corner(to), self.margin);
+        region.filter(self.points, list, &mut self.rivals);
+        let list: Vec<u32> = self.rivals.iter().map(|r| r.k).collect();
         let size = [to[0] - from[0], to[1] - from[1], to[2] - from[2]];
         if size == [1; 3] {
             let entry = self.divide(region, &list);
@@ -255,7 +268,7 @@ impl<I: Index> Builder<'_, I> {
 
     /// The cells of one top cell: one, 8 or 64.
     fn divide(&mut self, region: Region, list: &[u32]) -> u32 {
-        let whole = region.candidates(self.points, list);
+        let whole = region.candidates(self.points, list, &mut self.rivals);
         let first = self.grid.cells.len() as u32;
         if whole.len() <= self.fine.divide_above {
             self.store(&whole);
@@ -264,10 +277,11 @@ impl<I: Index> Builder<'_, I> {
         let eighths: Vec<(Region, Vec<u32>)> = (0..8)
             .map(|k| {
                 let part = region.eighth(k);
-                (part, part.candidates(self.points, &whole))
+                (part, part.candidates(self.points, &whole, &mut self.rivals))
             })
             .collect();
-        if eighths.iter().all(|(_, list)| list.len() <= self.fine.divide_above) {
+        let enough = |list: &Vec<u32>| list.len() <= self.fine.divide_above;
+        if self.shallow || eighths.iter().all(|(_, list)| enough(list)) {
             for (_, list) in &eighths {
                 self.store(list);
             }
@@ -275,7 +289,7 @@ impl<I: Index> Builder<'_, I> {
         }
         for (part, list) in &eighths {
             for k in 0..8 {
-                let list = part.eighth(k).candidates(self.points, list);
+                let list = part.eighth(k).candidates(self.points, list, &mut self.rivals);
                 self.store(&list);
             }
         }
@@ -303,11 +317,14 @@ impl<I: Index> Builder<'_, I> {
 struct Region {
     centre: DVec3,
     half: DVec3,
+    /// By how much (half a squared distance) a vertex has to be nearer to beat another.
+    margin: f64,
 }
 
 impl Region {
-    fn new(low: DVec3, high: DVec3) -> Self {
-        Self { centre: (low + high) * 0.5, half: (high - low) * (0.5 + 1e-7) }
+    fn new(low: DVec3, high: DVec3, margin: f64) -> Self {
+        let (centre, half) = ((low + high) * 0.5, (high - low) * (0.5 + 1e-7));
+        Self { centre, half, margin }
     }
 
     /// Bit 0 of `k` is the half along x, bit 1 along y, bit 2 along z.
@@ -317,54 +334,62 @@ impl Region {
             f64::from(k & 2) - 1.0,
             f64::from((k & 4) / 2) - 1.0,
         );
-        Self { centre: self.centre + side * self.half * 0.5, half: self.half * (0.5 + 1e-7) }
+        let (centre, half) = (self.centre + side * self.half * 0.5, self.half * (0.5 + 1e-7));
+        Self { centre, half, ..self }
     }
 
-    /// The vertex nearest to the centre.
-    fn champion(&self, points: &[[f64; 4]], list: &[u32]) -> u32 {
-        let q = self.centre.to_array();
-        let mut best = (f64::INFINITY, list[0]);
-        for &k in list {
-            let d = squared_distance(&points[k as usize], q);
-            if d < best.0 {
-                best = (d, k);
-            }
-        }
-        best.1
+    /// A vertex as seen from the centre.
+    #[inline(always)]
+    fn rival(&self, points: &[[f64; 4]], k: u32) -> Rival {
+        let p = &points[k as usize];
+        let (x, y, z) = (p[0] - self.centre.x, p[1] - self.centre.y, p[2] - self.centre.z);
+        Rival { k, rank: 0.5 * (x * x + y * y + z * z), x, y, z }
     }
 
     /// Whether `q` is nearer than `p` throughout, by more than rounding could matter.
-    #[inline]
-    fn beats(&self, q: &[f64; 4], p: &[f64; 4]) -> bool {
-        let (q, p) = (DVec3::new(q[0], q[1], q[2]), DVec3::new(p[0], p[1], p[2]));
-        let (a, b) = (p - self.centre, q - self.centre);
-        let worst = (a - b).abs().dot(self.half);
-        let lead = 0.5 * (a.dot(a) - b.dot(b)) - worst;
-        lead > 1e-14 * (a.dot(a) + self.half.dot(self.half) + self.centre.dot(self.centre))
+    #[inline(always)]
+    fn beats(&self, q: &Rival, p: &Rival) -> bool {
+        let (x, y, z) = ((p.x - q.x).abs(), (p.y - q.y).abs(), (p.z - q.z).abs());
+        let worst = x * self.half.x + y * self.half.y + z * self.half.z;
+        p.rank - q.rank - worst > self.margin
     }
 
     /// Those that the vertex nearest to the centre does not beat.
-    fn filter(&self, points: &[[f64; 4]], list: &[u32]) -> Vec<u32> {
-        let champion = &points[self.champion(points, list) as usize];
-        list.iter().copied().filter(|&k| !self.beats(champion, &points[k as usize])).collect()
+    fn filter(&self, points: &[[f64; 4]], list: &[u32], rivals: &mut Vec<Rival>) {
+        rivals.clear();
+        rivals.extend(list.iter().map(|&k| self.rival(points, k)));
+        let mut champion = rivals[0];
+        for rival in &*rivals {
+            if rival.rank < champion.rank {
+                champion = *rival;
+            }
+        }
+        rivals.retain(|p| !self.beats(&champion, p));
     }
 
     /// Those that no other beats, nearest to the centre first.
-    fn candidates(&self, points: &[[f64; 4]], list: &[u32]) -> Vec<u32> {
-        let q = self.centre.to_array();
-        let mut order: Vec<(f64, u32)> = self
-            .filter(points, list)
-            .into_iter()
-            .map(|k| (squared_distance(&points[k as usize], q), k))
-            .collect();
-        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut kept: Vec<u32> = Vec::new();
-        for (_, k) in order {
-            let p = &points[k as usize];
-            if !kept.iter().any(|&q| self.beats(&points[q as usize], p)) {
-                kept.push(k);
+    fn candidates(&self, points: &[[f64; 4]], list: &[u32], rivals: &mut Vec<Rival>) -> Vec<u32> {
+        self.filter(points, list, rivals);
+        rivals.sort_unstable_by(|a, b| a.rank.total_cmp(&b.rank).then(a.k.cmp(&b.k)));
+        let mut kept = 0;
+        for at in 0..rivals.len() {
+            let p = rivals[at];
+            if !rivals[..kept].iter().any(|q| self.beats(q, &p)) {
+                rivals[kept] = p;
+                kept += 1;
             }
         }
-        kept
+        rivals[..kept].iter().map(|r| r.k).collect()
     }
+}
+
+/// A vertex in the competition for a region: relative to its centre, with half its squared
+/// distance from there.
+#[derive(Clone, Copy)]
+struct Rival {
+    k: u32,
+    rank: f64,
+    x: f64,
+    y: f64,
+    z: f64,
 }
