@@ -116,11 +116,9 @@ impl Intrinsics {
     /// (`z <= 0`).
     #[must_use]
     pub fn project(&self, p_cam: DVec3) -> Option<DVec2> {
-        if !(p_cam.z > 0.0) {
-            return None;
-        }
         let (x, y) = (p_cam.x / p_cam.z, p_cam.y / p_cam.z);
-        Some(DVec2::new(self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy))
+        let uv = DVec2::new(self.fx * x + self.skew * y + self.cx, self.fy * y + self.cy);
+        (p_cam.z > 0.0).then_some(uv)
     }
 
     fn checked(self) -> Result<Self> {

@@ -4,6 +4,14 @@
 //! `est` is the estimated pose, `gt` the true one, both `cam_from_model`; lengths are metres,
 //! angles radians, image distances pixels.
 
+#![expect(
+    clippy::inline_always,
+    clippy::needless_range_loop,
+    reason = "plain loops over lanes, compiled once for each instruction set: what is not inlined \
+              there is compiled for none of them"
+)]
+#![cfg_attr(test, expect(clippy::float_cmp, reason = "tests of what has to be the same bits"))]
+
 pub mod add;
 pub mod adds;
 pub mod batch;

@@ -115,18 +115,22 @@ impl Moved {
     /// The root of the mean squared displacement in units, a little less than which it certainly
     /// is: no greatest displacement is below.
     pub(crate) fn root_mean_square(&self, set: &VertexSet) -> f64 {
-        let (_, high) = self.bounds(set);
-        let (_, s) = self.axis();
+        let (_, high, s) = self.bounds_and_sine(set);
         (high * (1.0 - 4.0 * SLACK) - 8.0 * s * SLACK).max(0.0)
     }
 
     /// Bounds of the mean displacement in units: that of the mean point, and the root mean square,
     /// both widened by more than everything that rounding can do to them or to the mean.
     pub(crate) fn bounds(&self, set: &VertexSet) -> (f64, f64) {
+        let (low, high, _) = self.bounds_and_sine(set);
+        (low, high)
+    }
+
+    fn bounds_and_sine(&self, set: &VertexSet) -> (f64, f64, f64) {
         let (n, s) = self.axis();
         let largest = self.d.abs().max_element().max(2.0 * s);
         if largest == 0.0 {
-            return (0.0, 0.0);
+            return (0.0, 0.0, 0.0);
         }
         let scale = power_of_two_below(largest);
         let (twice, d2) = (2.0 * s / scale, (self.d / scale).length_squared());
@@ -136,7 +140,7 @@ impl Moved {
         let slack = SLACK * twice;
         let low = (d2.sqrt() * (1.0 - SLACK) - slack).max(0.0);
         let high = (d2 + twice * twice * spread).sqrt() * (1.0 + SLACK) + slack;
-        (low * scale, high * scale)
+        (low * scale, high * scale, s)
     }
 }
 

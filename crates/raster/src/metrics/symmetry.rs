@@ -176,7 +176,7 @@ mod tests {
             prop_assume!(axis.length() > 0.1);
             let discrete: &[Pose] = if discrete { &[half_turn()] } else { &[] };
             let axes = [(axis, DVec3::X), (DVec3::new(axis.z, 0.3, -axis.x), DVec3::ZERO)];
-            let s = Symmetries::new(discrete, &axes[..1 + usize::from(two)], 0.01).expect("valid");
+            let s = Symmetries::new(discrete, &axes[..=usize::from(two)], 0.01).expect("valid");
             let exact = rotation_angle(&est, &gt, &s);
             let discretised = s.transforms().iter()
                 .map(|t| angle(est.rotation, gt.compose(t).rotation))

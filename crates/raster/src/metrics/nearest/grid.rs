@@ -16,6 +16,12 @@ pub(crate) const SLOTS: usize = 6;
 /// A cell with more candidates than this is left to the tree.
 const MOST: usize = 96;
 
+/// Some 64 top cells with more candidates than this, all together, are left to the tree.
+const CROWD: usize = 4096;
+
+/// After so many comparisons of vertices, about a second, the rest is left to the tree.
+const WORK: usize = 600_000_000;
+
 /// A `more` from here on leaves the query to others: that of the cell outside of the box.
 pub(crate) const OUTSIDE: u32 = u32::MAX - 1;
 
@@ -125,13 +131,14 @@ impl<I: Index> Grid<I> {
             tops,
             margin: 1e-14 * (low.abs().max(high.abs())).length_squared(),
             shallow: many,
+            work: 0,
             rivals: Vec::new(),
             grid: Self {
                 low: low.to_array(),
                 per_unit: 4.0 / edge,
                 size: tops.map(|n| 4 * n),
-                top: vec![0; tops.iter().map(|&n| n as usize).product()],
-                cells: Vec::new(),
+                top: vec![6; tops.iter().map(|&n| n as usize).product()],
+                cells: vec![Cell { slots: [I::of(0); SLOTS], more: TREE }],
                 spill: vec![I::of(0)],
             },
         };
@@ -231,6 +238,8 @@ struct Builder<'a, I> {
     tops: [u32; 3],
     margin: f64,
     shallow: bool,
+    /// Comparisons of vertices so far.
+    work: usize,
     rivals: Vec<Rival>,
     grid: Grid<I>,
 }
@@ -243,8 +252,14 @@ impl<I: Index> Builder<'_, I> {
         };
         let region = Region::new(corner(from), corner(to), self.margin);
         region.filter(self.points, list, &mut self.rivals);
+        self.work += list.len();
         let list: Vec<u32> = self.rivals.iter().map(|r| r.k).collect();
         let size = [to[0] - from[0], to[1] - from[1], to[2] - from[2]];
+        let hopeless = size.iter().product::<u32>() <= 64 && list.len() > CROWD;
+        if hopeless || self.work > WORK {
+            // The entries are those of the first cell, which leaves everything to the tree.
+            return;
+        }
         if size == [1; 3] {
             let entry = self.divide(region, &list);
             let top = (from[2] * self.tops[1] + from[1]) * self.tops[0] + from[0];
@@ -269,6 +284,7 @@ impl<I: Index> Builder<'_, I> {
     /// The cells of one top cell: one, 8 or 64.
     fn divide(&mut self, region: Region, list: &[u32]) -> u32 {
         let whole = region.candidates(self.points, list, &mut self.rivals);
+        self.work += list.len() * whole.len() + 8 * whole.len() * whole.len();
         let first = self.grid.cells.len() as u32;
         if whole.len() <= self.fine.divide_above {
             self.store(&whole);

@@ -124,7 +124,7 @@ mod tests {
         (*seed >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
 
-    fn check<I: grid::Index>(nearest: &NearestVertex, grids: &[Grid<I>; 2], q: [f64; 3]) {
+    fn check<I: Index>(nearest: &NearestVertex, grids: &[Grid<I>; 2], q: [f64; 3]) {
         let points = &nearest.points[..];
         let all = points.iter().map(|p| squared_distance(p, q)).fold(f64::INFINITY, f64::min);
         let seed = squared_distance(&points[0], q);
@@ -212,7 +212,6 @@ mod tests {
             let set = VertexSet::new(&points).expect("points");
             let bytes = set.nearest().bytes();
             let seconds = start.elapsed().as_secs_f64();
-            println!("{kind}: {bytes} bytes, {seconds} s");
             assert!(bytes < 100_000_000 && seconds < 2.0, "{kind}: {bytes} bytes, {seconds} s");
             check_set(&points, 200, seed);
         }

@@ -74,7 +74,7 @@ impl Tree {
                 }
             }
             // A gap is rounded like a distance is, so a margin keeps ties and near ties.
-            if !(least * (1.0 - 1e-14) < *best) {
+            if least.is_infinite() || least * (1.0 - 1e-14) >= *best {
                 return;
             }
             near[child] = f64::INFINITY;
