@@ -1,5 +1,9 @@
+<<<<<<< HEAD
 //! The command `dronepose-eval`.
 
 fn main() -> std::process::ExitCode {
     dronepose_raster::cli::main()
 }
+=======
+fn main() {}
+>>>>>>> kernels
