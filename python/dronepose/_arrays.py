@@ -28,7 +28,7 @@ def floats(name: str, values: ArrayLike, shape: str) -> NDArray[np.float64]:
     sizes = array.shape[array.ndim - len(tail) :] if tail else ()
     if not fits or any(a.isdigit() and int(a) != n for a, n in zip(tail, sizes, strict=True)):
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
-    return np.ascontiguousarray(array, dtype=np.float64)
+    return np.asarray(array, dtype=np.float64, order="C")
 
 
 def batch_of(**arrays: tuple[NDArray[np.float64], int]) -> tuple[int, ...]:

@@ -96,10 +96,7 @@ impl PyMesh {
 }
 
 /// An `(N, 3)` array as points.
-pub(super) fn points(
-    argument: &str,
-    array: &PyReadonlyArray2<'_, f64>,
-) -> PyResult<Vec<DVec3>> {
+pub(super) fn points(argument: &str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<DVec3>> {
     let (rows, rest) = array.as_slice()?.as_chunks::<3>();
     if !rest.is_empty() {
         return Err(PyValueError::new_err(format!("{argument}: expected shape (N, 3)")));

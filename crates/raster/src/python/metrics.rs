@@ -11,8 +11,7 @@ use std::ffi::CString;
 use glam::{DMat3, DQuat, DVec3};
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2,
-    PyReadonlyArray3,
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
 };
 use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
@@ -34,6 +33,7 @@ type Array1Of<'py> = Bound<'py, PyArray1<f64>>;
 /// `(N, 3, 3)` matrices as unit quaternions. Warns if some had to be projected.
 fn rotations(
     py: Python<'_>,
+    threads: usize,
     argument: &'static str,
     array: &PyReadonlyArray3<'_, f64>,
 ) -> PyResult<Vec<DQuat>> {
@@ -42,11 +42,13 @@ fn rotations(
         return Err(PyValueError::new_err(format!("{argument}: expected shape (N, 3, 3)")));
     }
     let (quaternions, notable) = py.detach(|| -> crate::Result<_> {
-        let converted: Vec<_> = rows
-            .par_iter()
-            .with_min_len(MIN_LEN)
-            .map(|m| rotation::from_matrix([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]]))
-            .collect();
+        // On the pool of this process: rayon's global one does not survive a fork.
+        let converted: Vec<_> = threads::install(threads, || {
+            let convert = |m: &[f64; 9]| {
+                rotation::from_matrix([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
+            };
+            rows.par_iter().with_min_len(MIN_LEN).map(convert).collect()
+        });
         let mut notable = (0_usize, 0_usize, 0.0_f64);
         let mut quaternions = Vec::with_capacity(converted.len());
         for (row, result) in converted.into_iter().enumerate() {
@@ -82,10 +84,7 @@ fn refused(argument: &str, row: usize, found: &NotARotation) -> Error {
 }
 
 /// `(N, 3)` translations, all finite.
-fn translations(
-    argument: &'static str,
-    array: &PyReadonlyArray2<'_, f64>,
-) -> PyResult<Vec<DVec3>> {
+fn translations(argument: &'static str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<DVec3>> {
     let t = points(argument, array)?;
     match t.iter().position(|t| !t.is_finite()) {
         Some(row) => Err(Error::argument(
@@ -107,11 +106,12 @@ fn same_length(a: usize, b: usize) -> PyResult<()> {
 
 fn poses(
     py: Python<'_>,
+    threads: usize,
     arguments: [&'static str; 2],
     R: &PyReadonlyArray3<'_, f64>,
     t: &PyReadonlyArray2<'_, f64>,
 ) -> PyResult<Vec<Pose>> {
-    let (R, t) = (rotations(py, arguments[0], R)?, translations(arguments[1], t)?);
+    let (R, t) = (rotations(py, threads, arguments[0], R)?, translations(arguments[1], t)?);
     same_length(R.len(), t.len())?;
     Ok(R.into_iter().zip(t).map(|(R, t)| Pose::new(R, t)).collect())
 }
@@ -125,13 +125,14 @@ struct Pairs {
 impl Pairs {
     fn new(
         py: Python<'_>,
+        threads: usize,
         R_est: &PyReadonlyArray3<'_, f64>,
         t_est: &PyReadonlyArray2<'_, f64>,
         R_gt: &PyReadonlyArray3<'_, f64>,
         t_gt: &PyReadonlyArray2<'_, f64>,
     ) -> PyResult<Self> {
-        let est = poses(py, ["R_est", "t_est"], R_est, t_est)?;
-        let gt = poses(py, ["R_gt", "t_gt"], R_gt, t_gt)?;
+        let est = poses(py, threads, ["R_est", "t_est"], R_est, t_est)?;
+        let gt = poses(py, threads, ["R_gt", "t_gt"], R_gt, t_gt)?;
         same_length(est.len(), gt.len())?;
         Ok(Self { est, gt })
     }
@@ -148,7 +149,6 @@ fn matrices(py: Python<'_>, quaternions: Vec<DQuat>) -> Bound<'_, PyArray3<f64>>
 
 /// `(N, K)` rows through a conversion that may refuse.
 fn converted<const K: usize>(
-    py: Python<'_>,
     argument: &'static str,
     array: &PyReadonlyArray2<'_, f64>,
     convert: impl Fn([f64; K]) -> Result<DQuat, NotARotation>,
@@ -157,10 +157,11 @@ fn converted<const K: usize>(
     if !rest.is_empty() {
         return Err(PyValueError::new_err(format!("{argument}: expected shape (N, {K})")));
     }
-    let _ = py;
     rows.iter()
         .enumerate()
-        .map(|(row, &numbers)| convert(numbers).map_err(|found| refused(argument, row, &found).into()))
+        .map(|(row, &numbers)| {
+            convert(numbers).map_err(|found| refused(argument, row, &found).into())
+        })
         .collect()
 }
 
@@ -170,7 +171,7 @@ pub(super) fn matrix_from_quat_wxyz<'py>(
     py: Python<'py>,
     quat_wxyz: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    Ok(matrices(py, converted(py, "quat_wxyz", &quat_wxyz, rotation::from_quat_wxyz)?))
+    Ok(matrices(py, converted("quat_wxyz", &quat_wxyz, rotation::from_quat_wxyz)?))
 }
 
 /// `(N, 4)` to `(N, 3, 3)`.
@@ -179,7 +180,7 @@ pub(super) fn matrix_from_quat_xyzw<'py>(
     py: Python<'py>,
     quat_xyzw: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    Ok(matrices(py, converted(py, "quat_xyzw", &quat_xyzw, rotation::from_quat_xyzw)?))
+    Ok(matrices(py, converted("quat_xyzw", &quat_xyzw, rotation::from_quat_xyzw)?))
 }
 
 /// `(N, 3)` to `(N, 3, 3)`.
@@ -188,7 +189,7 @@ pub(super) fn matrix_from_axis_angle<'py>(
     py: Python<'py>,
     axis_angle: PyReadonlyArray2<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
-    Ok(matrices(py, converted(py, "axis_angle", &axis_angle, rotation::from_axis_angle)?))
+    Ok(matrices(py, converted("axis_angle", &axis_angle, rotation::from_axis_angle)?))
 }
 
 /// `(N, 6)` to `(N, 3, 3)`.
@@ -200,7 +201,7 @@ pub(super) fn matrix_from_6d<'py>(
 ) -> PyResult<Bound<'py, PyArray3<f64>>> {
     let layout = if rows { SixD::Rows } else { SixD::Columns };
     let convert = |[a, b, c, d, e, f]: [f64; 6]| rotation::from_6d([a, b, c], [d, e, f], layout);
-    Ok(matrices(py, converted(py, "rotation_6d", &rotation_6d, convert)?))
+    Ok(matrices(py, converted("rotation_6d", &rotation_6d, convert)?))
 }
 
 /// `(N, 3, 3)` to `(N, 4)`.
@@ -209,7 +210,7 @@ pub(super) fn quat_wxyz_from_matrix<'py>(
     py: Python<'py>,
     R: PyReadonlyArray3<'py, f64>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let q = rotations(py, "R", &R)?;
+    let q = rotations(py, 1, "R", &R)?;
     let wxyz = |q: &DQuat| [q.w, q.x, q.y, q.z];
     Ok(Array2::from_shape_fn((q.len(), 4), |(i, k)| wxyz(&q[i])[k]).into_pyarray(py))
 }
@@ -258,9 +259,7 @@ pub(super) fn npe<'py>(
 
 /// One number a row, on the pool.
 fn map_rows(threads: usize, n: usize, error: impl Fn(usize) -> f64 + Sync + Send) -> Vec<f64> {
-    threads::install(threads, || {
-        (0..n).into_par_iter().with_min_len(MIN_LEN).map(error).collect()
-    })
+    threads::install(threads, || (0..n).into_par_iter().with_min_len(MIN_LEN).map(error).collect())
 }
 
 // -------------------------------------------------------------------------------------- metrics
@@ -273,10 +272,10 @@ pub(super) fn orientation_error<'py>(
     R_gt: PyReadonlyArray3<'py, f64>,
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
-    let (est, gt) = (rotations(py, "R_est", &R_est)?, rotations(py, "R_gt", &R_gt)?);
+    let (est, gt) =
+        (rotations(py, threads, "R_est", &R_est)?, rotations(py, threads, "R_gt", &R_gt)?);
     same_length(est.len(), gt.len())?;
-    let errors =
-        py.detach(|| map_rows(threads, est.len(), |i| rotation::angle(est[i], gt[i])));
+    let errors = py.detach(|| map_rows(threads, est.len(), |i| rotation::angle(est[i], gt[i])));
     Ok(errors.into_pyarray(py))
 }
 
@@ -289,7 +288,8 @@ pub(super) fn symmetric_orientation_error<'py>(
     symmetries: PyRef<'py, PySymmetries>,
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
-    let (est, gt) = (rotations(py, "R_est", &R_est)?, rotations(py, "R_gt", &R_gt)?);
+    let (est, gt) =
+        (rotations(py, threads, "R_est", &R_est)?, rotations(py, threads, "R_gt", &R_gt)?);
     same_length(est.len(), gt.len())?;
     let symmetries = &symmetries.0;
     let error = |i: usize| metrics::rotation_angle(&est[i], &gt[i], symmetries);
@@ -307,7 +307,7 @@ pub(super) fn add<'py>(
     t_gt: PyReadonlyArray2<'py, f64>,
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
-    let Pairs { est, gt } = Pairs::new(py, &R_est, &t_est, &R_gt, &t_gt)?;
+    let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let mesh = &*mesh;
     let errors = py.detach(|| -> crate::Result<_> {
         let set = mesh.vertex_set()?;
@@ -327,7 +327,7 @@ pub(super) fn adds<'py>(
     t_gt: PyReadonlyArray2<'py, f64>,
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
-    let Pairs { est, gt } = Pairs::new(py, &R_est, &t_est, &R_gt, &t_gt)?;
+    let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let mesh = &*mesh;
     let errors = py.detach(|| -> crate::Result<_> {
         let set = mesh.vertex_set()?;
@@ -348,7 +348,7 @@ pub(super) fn add_passes<'py>(
     thresholds_m: PyReadonlyArray1<'py, f64>,
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
-    let Pairs { est, gt } = Pairs::new(py, &R_est, &t_est, &R_gt, &t_gt)?;
+    let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let thresholds = thresholds_m.as_slice()?.to_vec();
     let mesh = &*mesh;
     let counts = py.detach(|| -> crate::Result<Vec<f64>> {
@@ -377,7 +377,7 @@ pub(super) fn mssd<'py>(
     symmetries: PyRef<'py, PySymmetries>,
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
-    let Pairs { est, gt } = Pairs::new(py, &R_est, &t_est, &R_gt, &t_gt)?;
+    let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let (mesh, transforms) = (&*mesh, symmetries.0.transforms());
     let errors = py.detach(|| -> crate::Result<_> {
         let set = mesh.vertex_set()?;
@@ -399,7 +399,7 @@ pub(super) fn projection<'py>(
     intrinsics: (f64, f64, f64, f64, u32, u32),
     threads: usize,
 ) -> PyResult<(Array1Of<'py>, Array1Of<'py>)> {
-    let Pairs { est, gt } = Pairs::new(py, &R_est, &t_est, &R_gt, &t_gt)?;
+    let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let (fx, fy, cx, cy, width, height) = intrinsics;
     let camera = Intrinsics { fx, fy, cx, cy, width, height };
     let (mesh, transforms) = (&*mesh, symmetries.0.transforms());
@@ -427,7 +427,7 @@ impl PySymmetries {
         axes: PyReadonlyArray2<'_, f64>,
         max_step: f64,
     ) -> PyResult<Self> {
-        let discrete = poses(py, ["discrete", "discrete"], &rotations, &translations)?;
+        let discrete = poses(py, 1, ["discrete", "discrete"], &rotations, &translations)?;
         let (axes, _) = axes.as_slice()?.as_chunks::<6>();
         let continuous: Vec<_> = axes
             .iter()
