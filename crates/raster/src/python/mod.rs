@@ -1,0 +1,32 @@
+//! The extension module `dronepose._native`: arguments in, one call of the core with the GIL
+//! released, arrays out. No algorithm here; shapes and dtypes are prepared by `python/dronepose`.
+//!
+//! Loading the module does not import `NumPy`; the first array does.
+
+mod cli;
+mod error;
+mod evaluate;
+mod mesh;
+mod metrics;
+
+#[pyo3::pymodule(gil_used = false)]
+mod _native {
+    #[pymodule_export]
+    use super::cli::cli_run;
+    #[pymodule_export]
+    use super::error::MeshError;
+    #[pymodule_export]
+    use super::evaluate::evaluate;
+    #[pymodule_export]
+    use super::mesh::PyMesh;
+    #[pymodule_export]
+    use super::metrics::{
+        PySymmetries, add, add_passes, adds, matrix_from_6d, matrix_from_axis_angle,
+        matrix_from_quat_wxyz, matrix_from_quat_xyzw, mssd, npe, orientation_error, projection,
+        quat_wxyz_from_matrix, symmetric_orientation_error, translation_error,
+    };
+
+    #[pymodule_export]
+    #[expect(non_upper_case_globals, reason = "the name that Python gives it")]
+    const __version__: &str = env!("CARGO_PKG_VERSION");
+}

@@ -1,0 +1,168 @@
+"""The extension module. Arrays are C-contiguous float64; the public functions convert and check."""
+
+import os
+from typing import final
+
+from numpy import float64, int32, uint32
+from numpy.typing import NDArray
+
+__all__ = [
+    "Mesh",
+    "MeshError",
+    "Symmetries",
+    "__version__",
+    "add",
+    "add_passes",
+    "adds",
+    "cli_run",
+    "evaluate",
+    "matrix_from_6d",
+    "matrix_from_axis_angle",
+    "matrix_from_quat_wxyz",
+    "matrix_from_quat_xyzw",
+    "mssd",
+    "npe",
+    "orientation_error",
+    "projection",
+    "quat_wxyz_from_matrix",
+    "symmetric_orientation_error",
+    "translation_error",
+]
+
+__version__: str
+
+class MeshError(ValueError):
+    """A mesh file or a mesh array that is not a usable mesh."""
+
+@final
+class Mesh:
+    """Vertices in metres and triangles over them, with what the metrics precompute."""
+
+    def __new__(cls, vertices: NDArray[float64], faces: NDArray[uint32]) -> Mesh: ...
+    @staticmethod
+    def read(path: str | os.PathLike[str], metres_per_unit: float) -> Mesh:
+        """An OBJ, PLY or STL file, scaled to metres."""
+    def vertices(self) -> NDArray[float64]:
+        """A copy, ``(V, 3)``."""
+    def faces(self) -> NDArray[int32]:
+        """A copy, ``(F, 3)``."""
+    @property
+    def bbox_diagonal(self) -> float:
+        """Metres."""
+    @property
+    def diameter(self) -> float:
+        """Metres."""
+    def check(self) -> tuple[str, str]:
+        """Facts as JSON, and a text for people."""
+
+@final
+class Symmetries:
+    """Transforms under which the model looks the same, the identity first."""
+
+    def __new__(
+        cls,
+        rotations: NDArray[float64],
+        translations: NDArray[float64],
+        axes: NDArray[float64],
+        max_step: float,
+    ) -> Symmetries: ...
+    def transforms(self) -> NDArray[float64]:
+        """``(S, 4, 4)``, metres."""
+    def __len__(self) -> int: ...
+
+def cli_run(args: list[str]) -> int:
+    """Run ``dronepose-eval``, the program's name first; its exit code."""
+
+def evaluate(
+    options: list[str],
+    predictions: str | tuple[NDArray[float64], NDArray[float64], list[str]],
+    gt: str | tuple[NDArray[float64], NDArray[float64], list[str]],
+) -> tuple[str, str]:
+    """The JSON and the table of an evaluation; ``options`` as on the command line."""
+
+def matrix_from_quat_wxyz(quat_wxyz: NDArray[float64]) -> NDArray[float64]:
+    """``(N, 4)`` to ``(N, 3, 3)``."""
+
+def matrix_from_quat_xyzw(quat_xyzw: NDArray[float64]) -> NDArray[float64]:
+    """``(N, 4)`` to ``(N, 3, 3)``."""
+
+def matrix_from_axis_angle(axis_angle: NDArray[float64]) -> NDArray[float64]:
+    """``(N, 3)`` to ``(N, 3, 3)``."""
+
+def matrix_from_6d(rotation_6d: NDArray[float64], rows: bool) -> NDArray[float64]:
+    """``(N, 6)`` to ``(N, 3, 3)``."""
+
+def quat_wxyz_from_matrix(R: NDArray[float64]) -> NDArray[float64]:
+    """``(N, 3, 3)`` to ``(N, 4)``."""
+
+def translation_error(
+    t_est: NDArray[float64], t_gt: NDArray[float64], threads: int
+) -> NDArray[float64]:
+    """``(N,)`` metres."""
+
+def npe(t_est: NDArray[float64], t_gt: NDArray[float64], threads: int) -> NDArray[float64]:
+    """``(N,)``."""
+
+def orientation_error(
+    R_est: NDArray[float64], R_gt: NDArray[float64], threads: int
+) -> NDArray[float64]:
+    """``(N,)`` radians."""
+
+def symmetric_orientation_error(
+    R_est: NDArray[float64], R_gt: NDArray[float64], symmetries: Symmetries, threads: int
+) -> NDArray[float64]:
+    """``(N,)`` radians."""
+
+def add(
+    mesh: Mesh,
+    R_est: NDArray[float64],
+    t_est: NDArray[float64],
+    R_gt: NDArray[float64],
+    t_gt: NDArray[float64],
+    threads: int,
+) -> NDArray[float64]:
+    """``(N,)`` metres."""
+
+def adds(
+    mesh: Mesh,
+    R_est: NDArray[float64],
+    t_est: NDArray[float64],
+    R_gt: NDArray[float64],
+    t_gt: NDArray[float64],
+    threads: int,
+) -> NDArray[float64]:
+    """``(N,)`` metres."""
+
+def add_passes(
+    mesh: Mesh,
+    R_est: NDArray[float64],
+    t_est: NDArray[float64],
+    R_gt: NDArray[float64],
+    t_gt: NDArray[float64],
+    thresholds_m: NDArray[float64],
+    threads: int,
+) -> NDArray[float64]:
+    """``(T,)`` numbers of poses whose ADD is below the thresholds."""
+
+def mssd(
+    mesh: Mesh,
+    R_est: NDArray[float64],
+    t_est: NDArray[float64],
+    R_gt: NDArray[float64],
+    t_gt: NDArray[float64],
+    symmetries: Symmetries,
+    threads: int,
+) -> NDArray[float64]:
+    """``(N,)`` metres."""
+
+def projection(
+    mesh: Mesh,
+    R_est: NDArray[float64],
+    t_est: NDArray[float64],
+    R_gt: NDArray[float64],
+    t_gt: NDArray[float64],
+    symmetries: Symmetries,
+    intrinsics: tuple[float, float, float, float, int, int],
+    threads: int,
+) -> tuple[NDArray[float64], NDArray[float64]]:
+    """MSPD and mean projection error, ``(N,)`` pixels each."""

@@ -1,0 +1,243 @@
+"""Score poses as ``dronepose-eval`` does, from files or from arrays, with the same numbers."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from dronepose import _native
+from dronepose._arrays import floats
+from dronepose.camera import Camera
+from dronepose.mesh import Mesh
+from dronepose.results import (
+    SCHEMA,
+    Auc,
+    Authors,
+    Bop,
+    Breakdown,
+    Comparison,
+    Difference,
+    Evaluation,
+    Group,
+    InputFile,
+    Inputs,
+    Interval,
+    Intervals,
+    Metrics,
+    Recall,
+    ReferenceRecall,
+    Settings,
+    Speed,
+    SpeedPlus,
+    Summary,
+    WorstSample,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Poses = (
+        str
+        | os.PathLike[str]
+        | Mapping[str, Any]
+        | tuple[ArrayLike, ArrayLike]
+        | tuple[ArrayLike, ArrayLike, Sequence[Any]]
+    )
+    _NativePoses = str | tuple[NDArray[np.float64], NDArray[np.float64], list[str]]
+
+__all__ = [
+    "SCHEMA",
+    "Auc",
+    "Authors",
+    "Bop",
+    "Breakdown",
+    "Comparison",
+    "Difference",
+    "Evaluation",
+    "Group",
+    "InputFile",
+    "Inputs",
+    "Interval",
+    "Intervals",
+    "Metrics",
+    "Recall",
+    "ReferenceRecall",
+    "Settings",
+    "Speed",
+    "SpeedPlus",
+    "Summary",
+    "WorstSample",
+    "evaluate",
+]
+
+
+def evaluate(
+    predictions: Poses,
+    gt: Poses,
+    *,
+    mesh: str | os.PathLike[str] | Mesh | None = None,
+    mesh_unit: Literal["m", "cm", "mm"] = "m",
+    unit: Literal["m", "mm"] | None = None,
+    add_reference: Literal["bbox-diagonal", "diameter"] | float = "bbox-diagonal",
+    symmetries: str | os.PathLike[str] | Mapping[str, Any] | None = None,
+    camera: Camera | str | os.PathLike[str] | None = None,
+    acc: Sequence[float] = (2, 5, 10),
+    add: Sequence[float] = (2, 5, 10),
+    preset: Literal["paper", "authors", "bop", "speedplus"] = "paper",
+    by: Sequence[str] = (),
+    bootstrap: int | None = None,
+    seed: int = 0,
+    threads: int = 0,
+    strict: bool = False,
+    compare: Sequence[str | os.PathLike[str]] = (),
+) -> Evaluation:
+    """Score predicted poses against ground truth, joined by id.
+
+    Means are over the poses with a prediction; recalls and areas count a missing prediction as
+    wrong.
+
+    Args:
+        predictions: A file (CSV, BOP results CSV, BOP ``scene_gt.json``, SPEED CSV or JSON), or
+            arrays: a tuple ``(R, t)`` or ``(R, t, ids)``, or a mapping with these keys. ``R`` is
+            ``(N, 3, 3)``, ``t`` is ``(N, 3)``, ``cam_from_model``; without ``ids`` the row number
+            is the id.
+        gt: The ground truth, in the same forms.
+        mesh: The model, for ADD, ADD-S, MSSD, MSPD and the projection error. A :class:`Mesh` made
+            from arrays is passed on through a temporary OBJ file.
+        mesh_unit: Unit of a mesh given as a path; a :class:`Mesh` is in metres.
+        unit: Unit of the translations; by default that of the format, metres for arrays.
+        add_reference: What the percentages of ``add`` refer to: the diagonal of the bounding box
+            (the paper), the diameter (BOP), or a length in metres (the authors' code: 0.354).
+        symmetries: A file in the form of BOP's ``models_info.json``, or the entry of the object.
+        camera: A :class:`Camera` or a camera file, for MSPD and the projection error.
+        acc: X of AccX: below X degrees and X centimetres.
+        add: k of 6D Pose-k: ADD below k percent of the reference.
+        preset: ``"paper"``; ``"authors"`` adds the batch means their script prints; ``"bop"``;
+            ``"speedplus"``.
+        by: Breakdowns: ``"distance"``, ``"azimuth"``, ``"elevation"`` or a column of the ground
+            truth.
+        bootstrap: Resamples for 95 % confidence intervals; ``None`` for the preset's own choice.
+        seed: Seed of the resampling.
+        threads: 0 uses all cores. The result does not depend on it.
+        strict: Turn every warning into an error.
+        compare: Files with the predictions of other methods for the same ground truth.
+
+    Returns:
+        All numbers, with the settings that led to them.
+
+    Raises:
+        ValueError: An input was refused; the message says where, what was found and what was
+            expected.
+        OSError: A file cannot be read.
+        TypeError: An argument has the wrong type.
+
+    Example:
+        >>> result = evaluate("predictions.csv", "gt.csv", mesh="quadrotor.obj")  # doctest: +SKIP
+        >>> result.metrics.npe.mean, result.metrics.add_recall.at["10"].count  # doctest: +SKIP
+        >>> print(result.table())  # doctest: +SKIP
+    """
+    options = [
+        f"--add-reference={_number_or_word(add_reference)}",
+        f"--acc={_numbers('acc', acc)}",
+        f"--add={_numbers('add', add)}",
+        f"--preset={preset}",
+        f"--seed={seed}",
+        f"--threads={threads}",
+    ]
+    if unit is not None:
+        options.append(f"--unit={unit}")
+    if bootstrap is not None:
+        options.append(f"--bootstrap={bootstrap}")
+    if strict:
+        options.append("--strict")
+    if isinstance(by, str):
+        by = (by,)
+    if isinstance(compare, str | os.PathLike):
+        compare = (compare,)
+    options += [f"--by={column}" for column in by]
+    options += [f"--compare={os.fspath(path)}" for path in compare]
+    if isinstance(camera, Camera):
+        if camera.skew != 0.0:
+            raise ValueError(f"camera: a skew of {camera.skew} is not supported")
+        c = camera
+        options.append(f"--camera={c.fx!r},{c.fy!r},{c.cx!r},{c.cy!r},{c.width},{c.height}")
+    elif camera is not None:
+        options.append(f"--camera={os.fspath(camera)}")
+
+    with tempfile.TemporaryDirectory(prefix="dronepose-") as folder:
+        mesh_path: str | os.PathLike[str] | None
+        if isinstance(mesh, Mesh):
+            if mesh._source is not None:
+                mesh_path, mesh_unit = mesh._source
+            else:
+                mesh_path, mesh_unit = _write_obj(mesh, Path(folder) / "mesh.obj"), "m"
+        else:
+            mesh_path = mesh
+        options.append(f"--mesh-unit={mesh_unit}")
+        if mesh_path is not None:
+            options.append(f"--mesh={os.fspath(mesh_path)}")
+        if isinstance(symmetries, Mapping):
+            path = Path(folder) / "symmetries.json"
+            path.write_text(json.dumps(dict(symmetries)), encoding="utf-8")
+            symmetries = path
+        if symmetries is not None:
+            options.append(f"--symmetries={os.fspath(symmetries)}")
+        text, table = _native.evaluate(
+            options, _poses("predictions", predictions), _poses("gt", gt)
+        )
+    return Evaluation.from_json(text, table)
+
+
+def _poses(name: str, given: Poses) -> _NativePoses:
+    """A path as text, or checked arrays with ids."""
+    poses: Any = given
+    if isinstance(poses, str | os.PathLike):
+        return os.fspath(poses)
+    if isinstance(poses, Mapping):
+        unknown = sorted(set(poses) - {"R", "t", "ids"})
+        if unknown or "R" not in poses or "t" not in poses:
+            raise ValueError(
+                f"{name}: expected the keys 'R', 't' and perhaps 'ids', got {sorted(poses)}"
+            )
+        poses = tuple(poses[key] for key in ("R", "t", "ids") if key in poses)
+    if not isinstance(poses, tuple) or len(poses) not in (2, 3):
+        raise TypeError(
+            f"{name}: expected a path, a mapping or a tuple (R, t) or (R, t, ids), "
+            f"got {type(poses).__name__}"
+        )
+    R = floats(f"{name} R", poses[0], "(N, 3, 3)")
+    t = floats(f"{name} t", poses[1], "(N, 3)")
+    ids = [str(i) for i in (poses[2] if len(poses) == 3 else range(len(R)))]
+    if not len(R) == len(t) == len(ids):
+        raise ValueError(
+            f"{name}: expected as many R, t and ids, got {len(R)}, {len(t)} and {len(ids)}"
+        )
+    return R, t, ids
+
+
+def _write_obj(mesh: Mesh, path: Path) -> Path:
+    """The mesh as OBJ text; ``repr`` of a float reads back to the same bits."""
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
+
+
+def _number_or_word(value: float | str) -> str:
+    return value if isinstance(value, str) else _number(value)
+
+
+def _number(value: float) -> str:
+    return repr(float(value)).removesuffix(".0")
+
+
+def _numbers(name: str, values: Any) -> str:
+    if isinstance(values, str) or not np.iterable(values):
+        raise TypeError(f"{name}: expected a sequence of numbers, got {values!r}")
+    return ",".join(_number(v) for v in values)

@@ -1,0 +1,32 @@
+"""Fixtures for all tests; see support.py for the helpers."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from support import SHARED
+
+# No deadline: a shared machine may stop for a second, and that is no failure.
+settings.register_profile(
+    "dronepose",
+    deadline=None,
+    derandomize=True,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("dronepose")
+
+
+@pytest.fixture
+def shared() -> Callable[[str], Path]:
+    """A path in the folder of test data, or a skip that says which is missing."""
+
+    def find(relative: str) -> Path:
+        path = SHARED / relative
+        if not path.exists():
+            pytest.skip(f"{relative} is not in ../shared (or DRONEPOSE_SHARED)")
+        return path
+
+    return find

@@ -1,0 +1,57 @@
+"""Where things are, and how to run the command."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = ROOT / "examples"
+SHARED = Path(os.environ.get("DRONEPOSE_SHARED", ROOT.parent / "shared"))
+
+
+def command() -> list[str]:
+    """``dronepose-eval`` of this Python, as a script if it is installed."""
+    script = Path(sys.executable).with_name("dronepose-eval")
+    return [str(script)] if script.exists() else [sys.executable, "-m", "dronepose.cli"]
+
+
+def run(
+    *args: object, cwd: Path | None = None, timeout: float = 300
+) -> subprocess.CompletedProcess[str]:
+    """Run ``dronepose-eval``; the caller looks at the exit code."""
+    return subprocess.run(
+        [*command(), *map(str, args)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        stdin=subprocess.DEVNULL,
+        timeout=timeout,
+        check=False,
+    )
+
+
+def no_constant(text: str) -> Any:
+    raise ValueError(f"{text} in JSON")
+
+
+def loads(text: str) -> Any:
+    """JSON in the strict sense: neither NaN nor Infinity."""
+    return json.loads(text, parse_constant=no_constant)
+
+
+def evaluate(*args: object, cwd: Path | None = None) -> dict[str, Any]:
+    """The JSON of ``dronepose-eval ARGS --json -``, which has to succeed."""
+    done = run(*args, "--json", "-", cwd=cwd)
+    assert done.returncode == 0, f"{done.args}\n{done.stderr}"
+    return loads(done.stdout)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
