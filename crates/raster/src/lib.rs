@@ -16,6 +16,8 @@ pub mod io;
 pub mod mesh;
 pub mod metrics;
 pub mod pose;
+#[cfg(feature = "python")]
+mod python;
 pub mod report;
 pub mod rotation;
 pub mod threads;

@@ -1,9 +1,5 @@
-<<<<<<< HEAD
 //! The command `dronepose-eval`.
 
 fn main() -> std::process::ExitCode {
     dronepose_raster::cli::main()
 }
-=======
-fn main() {}
->>>>>>> kernels

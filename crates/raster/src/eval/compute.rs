@@ -75,7 +75,7 @@ pub(crate) fn samples(
         s.oe_sym_rad = Some(column(pairs, |pair| {
             let (est, gt) = scene.poses(pair);
             let symmetries = &scene.object(pair).symmetries;
-            metrics::symmetry::rotation_angle(est, gt, symmetries)
+            metrics::rotation_angle(est, gt, symmetries)
         }));
     }
     let meshes = n > 0 && pairs.iter().all(|&pair| scene.object(pair).mesh.is_some());
@@ -100,7 +100,7 @@ pub(crate) fn samples(
         scene.object(pair).mesh.as_ref().map_or(f64::NAN, |m| f(&m.set, est, gt))
     };
     if wants("add") {
-        s.add_m = Some(staged("ADD", &|pair| with_mesh(pair, &metrics::add::add)));
+        s.add_m = Some(staged("ADD", &|pair| with_mesh(pair, &metrics::add)));
     }
     let queries = |pair| scene.object(pair).mesh.as_ref().map_or(0, |m| m.set.distinct().len());
     if wants("adds") {
@@ -109,26 +109,26 @@ pub(crate) fn samples(
                 "ADD-S was left out for {n} samples (it would take long); --metrics all computes it"
             ));
         } else {
-            s.adds_m = Some(staged("ADD-S", &|pair| with_mesh(pair, &metrics::adds::adds)));
+            s.adds_m = Some(staged("ADD-S", &|pair| with_mesh(pair, &metrics::adds)));
         }
     }
     if wants("mssd") {
         s.mssd_m = Some(staged("MSSD", &|pair| {
             let symmetries = scene.object(pair).symmetries.transforms();
-            with_mesh(pair, &|set, est, gt| metrics::mssd::mssd(set, est, gt, symmetries))
+            with_mesh(pair, &|set, est, gt| metrics::mssd(set, est, gt, symmetries))
         }));
     }
     let cameras = pairs.iter().all(|&pair| scene.camera(pair).is_some());
     if cameras && (wants("mspd") || wants("proj")) {
         progress.begin("projection errors", n as u64);
-        let mut both = vec![metrics::mspd::ProjectionErrors { mspd: 0.0, proj: 0.0 }; n];
+        let mut both = vec![metrics::ProjectionErrors { mspd: 0.0, proj: 0.0 }; n];
         both.par_chunks_mut(CHUNK).zip(pairs.par_chunks(CHUNK)).for_each(|(out, pairs)| {
             for (slot, &pair) in out.iter_mut().zip(pairs) {
                 let (est, gt) = scene.poses(pair);
                 let object = scene.object(pair);
                 if let (Some(mesh), Some(camera)) = (&object.mesh, scene.camera(pair)) {
                     let symmetries = object.symmetries.transforms();
-                    *slot = metrics::mspd::projection_errors(&mesh.set, est, gt, symmetries, camera);
+                    *slot = metrics::projection_errors(&mesh.set, est, gt, symmetries, camera);
                 }
             }
             progress.advance(pairs.len() as u64);
@@ -226,7 +226,7 @@ pub(crate) fn bop(scene: Scene<'_>, pairs: &[(u32, u32)], s: &Samples) -> (Optio
             let (est, gt) = scene.poses(pair);
             let object = scene.object(pair);
             let symmetries = object.symmetries.transforms();
-            object.mesh.as_ref().map_or(f64::INFINITY, |m| metrics::mssd::mssd(&m.set, est, gt, symmetries))
+            object.mesh.as_ref().map_or(f64::INFINITY, |m| metrics::mssd(&m.set, est, gt, symmetries))
         },
         mssd,
     );
@@ -247,7 +247,7 @@ pub(crate) fn bop(scene: Scene<'_>, pairs: &[(u32, u32)], s: &Samples) -> (Optio
                 match (&object.mesh, scene.camera(pair)) {
                     (Some(m), Some(camera)) => {
                         let symmetries = object.symmetries.transforms();
-                        metrics::mspd::projection_errors(&m.set, est, gt, symmetries, camera).mspd
+                        metrics::projection_errors(&m.set, est, gt, symmetries, camera).mspd
                     }
                     _ => f64::INFINITY,
                 }

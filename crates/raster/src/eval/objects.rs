@@ -10,8 +10,7 @@ use crate::io::bop::{ObjectInfo, parse_scene_camera, read_models_info};
 use crate::io::input::{Input, InputFile};
 use crate::io::{Unit, read_mesh};
 use crate::mesh::Mesh;
-use crate::metrics::VertexSet;
-use crate::metrics::symmetry::Symmetries;
+use crate::metrics::{Symmetries, VertexSet};
 
 /// A mesh prepared for the metrics.
 #[derive(Debug)]

@@ -24,4 +24,10 @@ pub(crate) mod oracle;
 pub mod symmetry;
 pub mod vertices;
 
+pub use add::{add, add_below, add_bounds};
+pub use adds::adds;
+pub use batch::{add_batch, add_below_batch, adds_batch, mssd_batch, projection_batch};
+pub use mspd::{ProjectionErrors, projection_errors};
+pub use mssd::mssd;
+pub use symmetry::{Symmetries, rotation_angle};
 pub use vertices::VertexSet;

@@ -48,7 +48,7 @@ fn rotations(
                 rotation::from_matrix([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
             };
             rows.par_iter().with_min_len(MIN_LEN).map(convert).collect()
-        });
+        })?;
         let mut notable = (0_usize, 0_usize, 0.0_f64);
         let mut quaternions = Vec::with_capacity(converted.len());
         for (row, result) in converted.into_iter().enumerate() {
@@ -235,7 +235,7 @@ pub(super) fn translation_error<'py>(
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
     let (est, gt) = translation_pairs(&t_est, &t_gt)?;
-    let errors = py.detach(|| map_rows(threads, est.len(), |i| est[i].distance(gt[i])));
+    let errors = py.detach(|| map_rows(threads, est.len(), |i| est[i].distance(gt[i])))?;
     Ok(errors.into_pyarray(py))
 }
 
@@ -253,12 +253,16 @@ pub(super) fn npe<'py>(
         return Err(Error::argument(format!("t_gt[{row}]"), message).into());
     }
     let errors =
-        py.detach(|| map_rows(threads, est.len(), |i| est[i].distance(gt[i]) / gt[i].length()));
+        py.detach(|| map_rows(threads, est.len(), |i| est[i].distance(gt[i]) / gt[i].length()))?;
     Ok(errors.into_pyarray(py))
 }
 
 /// One number a row, on the pool.
-fn map_rows(threads: usize, n: usize, error: impl Fn(usize) -> f64 + Sync + Send) -> Vec<f64> {
+fn map_rows(
+    threads: usize,
+    n: usize,
+    error: impl Fn(usize) -> f64 + Sync + Send,
+) -> crate::Result<Vec<f64>> {
     threads::install(threads, || (0..n).into_par_iter().with_min_len(MIN_LEN).map(error).collect())
 }
 
@@ -275,7 +279,7 @@ pub(super) fn orientation_error<'py>(
     let (est, gt) =
         (rotations(py, threads, "R_est", &R_est)?, rotations(py, threads, "R_gt", &R_gt)?);
     same_length(est.len(), gt.len())?;
-    let errors = py.detach(|| map_rows(threads, est.len(), |i| rotation::angle(est[i], gt[i])));
+    let errors = py.detach(|| map_rows(threads, est.len(), |i| rotation::angle(est[i], gt[i])))?;
     Ok(errors.into_pyarray(py))
 }
 
@@ -292,8 +296,9 @@ pub(super) fn symmetric_orientation_error<'py>(
         (rotations(py, threads, "R_est", &R_est)?, rotations(py, threads, "R_gt", &R_gt)?);
     same_length(est.len(), gt.len())?;
     let symmetries = &symmetries.0;
-    let error = |i: usize| metrics::rotation_angle(&est[i], &gt[i], symmetries);
-    Ok(py.detach(|| map_rows(threads, est.len(), error)).into_pyarray(py))
+    let turn = |q: DQuat| Pose::new(q, DVec3::ZERO);
+    let error = |i: usize| metrics::rotation_angle(&turn(est[i]), &turn(gt[i]), symmetries);
+    Ok(py.detach(|| map_rows(threads, est.len(), error))?.into_pyarray(py))
 }
 
 /// `(N,)` metres.
@@ -311,7 +316,7 @@ pub(super) fn add<'py>(
     let mesh = &*mesh;
     let errors = py.detach(|| -> crate::Result<_> {
         let set = mesh.vertex_set()?;
-        Ok(threads::install(threads, || metrics::add_batch(set, &est, &gt)))
+        threads::install(threads, || metrics::add_batch(set, &est, &gt))?
     })?;
     Ok(errors.into_pyarray(py))
 }
@@ -331,7 +336,7 @@ pub(super) fn adds<'py>(
     let mesh = &*mesh;
     let errors = py.detach(|| -> crate::Result<_> {
         let set = mesh.vertex_set()?;
-        Ok(threads::install(threads, || metrics::adds_batch(set, &est, &gt)))
+        threads::install(threads, || metrics::adds_batch(set, &est, &gt))?
     })?;
     Ok(errors.into_pyarray(py))
 }
@@ -360,7 +365,7 @@ pub(super) fn add_passes<'py>(
                 .filter(|&i| metrics::add_below(set, &est[i], &gt[i], threshold))
                 .count() as f64
         };
-        Ok(threads::install(threads, || thresholds.iter().map(|&t| passes(t)).collect()))
+        threads::install(threads, || thresholds.iter().map(|&t| passes(t)).collect())
     })?;
     Ok(counts.into_pyarray(py))
 }
@@ -381,7 +386,7 @@ pub(super) fn mssd<'py>(
     let (mesh, transforms) = (&*mesh, symmetries.0.transforms());
     let errors = py.detach(|| -> crate::Result<_> {
         let set = mesh.vertex_set()?;
-        Ok(threads::install(threads, || metrics::mssd_batch(set, &est, &gt, transforms)))
+        threads::install(threads, || metrics::mssd_batch(set, &est, &gt, transforms))?
     })?;
     Ok(errors.into_pyarray(py))
 }
@@ -396,18 +401,23 @@ pub(super) fn projection<'py>(
     R_gt: PyReadonlyArray3<'py, f64>,
     t_gt: PyReadonlyArray2<'py, f64>,
     symmetries: PyRef<'py, PySymmetries>,
-    intrinsics: (f64, f64, f64, f64, u32, u32),
+    intrinsics: (f64, f64, f64, f64, f64, u32, u32),
     threads: usize,
 ) -> PyResult<(Array1Of<'py>, Array1Of<'py>)> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
-    let (fx, fy, cx, cy, width, height) = intrinsics;
-    let camera = Intrinsics { fx, fy, cx, cy, width, height };
+    let (fx, fy, cx, cy, skew, width, height) = intrinsics;
+    let camera = Intrinsics {
+        skew,
+        width: Some(width),
+        height: Some(height),
+        ..Intrinsics::new(fx, fy, cx, cy)?
+    };
     let (mesh, transforms) = (&*mesh, symmetries.0.transforms());
     let errors = py.detach(|| -> crate::Result<_> {
         let set = mesh.vertex_set()?;
-        Ok(threads::install(threads, || {
+        threads::install(threads, || {
             metrics::projection_batch(set, &est, &gt, transforms, &camera)
-        }))
+        })?
     })?;
     let (mspd, proj): (Vec<f64>, Vec<f64>) = errors.iter().map(|e| (e.mspd, e.proj)).unzip();
     Ok((mspd.into_pyarray(py), proj.into_pyarray(py)))
