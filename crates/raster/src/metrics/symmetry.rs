@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use crate::error::{Error, Result};
 use crate::pose::Pose;
-use crate::rotation::{from_axis_angle, relative};
+use crate::rotation::{from_axis_angle, from_matrix, relative};
 
 /// The step of BOP's evaluation for continuous symmetries (`max_sym_disc_step`), in radians.
 pub const DEFAULT_STEP: f64 = 0.01;
@@ -97,6 +97,32 @@ impl Symmetries {
     }
 }
 
+/// A discrete symmetry from the 16 numbers of a BOP `symmetries_discrete` entry: a 4x4 matrix, row
+/// by row, `model_from_model`; its translation is multiplied by `metres` (0.001 for BOP's
+/// millimetres).
+///
+/// # Errors
+/// [`Error::NotARotation`] if the upper left 3x3 is none, [`Error::Argument`] for a translation
+/// that is not finite or a last row other than `0, 0, 0, 1`.
+pub fn from_rows(m: &[f64; 16], metres: f64) -> Result<Pose> {
+    const NAME: &str = "symmetries_discrete";
+    let rows = std::array::from_fn(|i| std::array::from_fn(|j| m[4 * i + j]));
+    let (rotation, _) = from_matrix(rows).map_err(|e| Error::NotARotation {
+        argument: NAME.into(),
+        found: e.found(),
+        expected: e.expected(),
+    })?;
+    if m[12..15].iter().any(|&c| c.abs() > 1e-9) || (m[15] - 1.0).abs() > 1e-9 {
+        let found = format!("the last row is {:?}; expected 0, 0, 0, 1", &m[12..]);
+        return Err(Error::argument(NAME, found));
+    }
+    let translation = DVec3::new(m[3], m[7], m[11]) * metres;
+    if !translation.is_finite() {
+        return Err(Error::argument(NAME, "the translation is NaN or infinite"));
+    }
+    Ok(Pose::new(rotation, translation))
+}
+
 /// Least angle over the symmetries between the estimated rotation and the true one, in radians, in
 /// `[0, π]`.
 ///
@@ -156,6 +182,19 @@ mod tests {
         let s = Symmetries::new(&[], &[(DVec3::X, DVec3::ZERO), (DVec3::Y, DVec3::ZERO)], 0.01);
         assert_eq!(s.expect("valid").transforms().len(), 629);
         assert!(Symmetries::none().is_trivial());
+    }
+
+    #[test]
+    fn sixteen_numbers_are_read_row_by_row() {
+        let mut m = [0.0; 16];
+        (m[0], m[5], m[10], m[15], m[3]) = (-1.0, -1.0, 1.0, 1.0, 200.0);
+        let pose = from_rows(&m, 1e-3).expect("valid");
+        assert!(angle(pose.rotation, half_turn().rotation) < 1e-15);
+        assert!(pose.translation.distance(DVec3::X * 0.2) < 1e-15);
+        m[13] = 1.0;
+        assert!(from_rows(&m, 1e-3).is_err());
+        (m[13], m[0]) = (0.0, 1.0);
+        assert!(matches!(from_rows(&m, 1e-3), Err(Error::NotARotation { .. })));
     }
 
     #[test]
