@@ -77,6 +77,7 @@ def evaluate(
     options: list[str],
     predictions: str | tuple[NDArray[float64], NDArray[float64], list[str]],
     gt: str | tuple[NDArray[float64], NDArray[float64], list[str]],
+    mesh: Mesh | None,
 ) -> tuple[str, str]:
     """The JSON and the table of an evaluation; ``options`` as on the command line."""
 
@@ -162,7 +163,7 @@ def projection(
     R_gt: NDArray[float64],
     t_gt: NDArray[float64],
     symmetries: Symmetries,
-    intrinsics: tuple[float, float, float, float, int, int],
+    intrinsics: tuple[float, float, float, float, float, int, int],
     threads: int,
 ) -> tuple[NDArray[float64], NDArray[float64]]:
     """MSPD and mean projection error, ``(N,)`` pixels each."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import tempfile
@@ -82,7 +83,7 @@ def evaluate(
     gt: Poses,
     *,
     mesh: str | os.PathLike[str] | Mesh | None = None,
-    mesh_unit: Literal["m", "cm", "mm"] = "m",
+    mesh_unit: Literal["m", "cm", "mm"] | None = None,
     unit: Literal["m", "mm"] | None = None,
     add_reference: Literal["bbox-diagonal", "diameter"] | float = "bbox-diagonal",
     symmetries: str | os.PathLike[str] | Mapping[str, Any] | None = None,
@@ -108,9 +109,10 @@ def evaluate(
             ``(N, 3, 3)``, ``t`` is ``(N, 3)``, ``cam_from_model``; without ``ids`` the row number
             is the id.
         gt: The ground truth, in the same forms.
-        mesh: The model, for ADD, ADD-S, MSSD, MSPD and the projection error. A :class:`Mesh` made
-            from arrays is passed on through a temporary OBJ file.
-        mesh_unit: Unit of a mesh given as a path; a :class:`Mesh` is in metres.
+        mesh: The model, for ADD, ADD-S, MSSD, MSPD and the projection error: a :class:`Mesh`, a
+            mesh file, or the ``models`` folder of a BOP data set.
+        mesh_unit: Unit of a mesh given as a path; by default metres, and millimetres for a BOP
+            folder. A :class:`Mesh` is in metres.
         unit: Unit of the translations; by default that of the format, metres for arrays.
         add_reference: What the percentages of ``add`` refer to: the diagonal of the bounding box
             (the paper), the diameter (BOP), or a length in metres (the authors' code: 0.354).
@@ -122,7 +124,8 @@ def evaluate(
             ``"speedplus"``.
         by: Breakdowns: ``"distance"``, ``"azimuth"``, ``"elevation"`` or a column of the ground
             truth.
-        bootstrap: Resamples for 95 % confidence intervals; ``None`` for the preset's own choice.
+        bootstrap: Resamples for 95 % confidence intervals; ``None`` for 1000 up to 50,000 samples
+            and none above.
         seed: Seed of the resampling.
         threads: 0 uses all cores. The result does not depend on it.
         strict: Turn every warning into an error.
@@ -162,26 +165,23 @@ def evaluate(
         compare = (compare,)
     options += [f"--by={column}" for column in by]
     options += [f"--compare={os.fspath(path)}" for path in compare]
-    if isinstance(camera, Camera):
-        if camera.skew != 0.0:
-            raise ValueError(f"camera: a skew of {camera.skew} is not supported")
-        c = camera
-        options.append(f"--camera={c.fx!r},{c.fy!r},{c.cx!r},{c.cy!r},{c.width},{c.height}")
-    elif camera is not None:
-        options.append(f"--camera={os.fspath(camera)}")
-
+    native_mesh: _native.Mesh | None = None
     with tempfile.TemporaryDirectory(prefix="dronepose-") as folder:
-        mesh_path: str | os.PathLike[str] | None
+        if isinstance(camera, Camera):
+            path = Path(folder) / "camera.json"
+            path.write_text(json.dumps(dataclasses.asdict(camera)), encoding="utf-8")
+            options.append(f"--camera={path}")
+        elif camera is not None:
+            options.append(f"--camera={os.fspath(camera)}")
         if isinstance(mesh, Mesh):
             if mesh._source is not None:
-                mesh_path, mesh_unit = mesh._source
+                options += [f"--mesh={mesh._source[0]}", f"--mesh-unit={mesh._source[1]}"]
             else:
-                mesh_path, mesh_unit = _write_obj(mesh, Path(folder) / "mesh.obj"), "m"
-        else:
-            mesh_path = mesh
-        options.append(f"--mesh-unit={mesh_unit}")
-        if mesh_path is not None:
-            options.append(f"--mesh={os.fspath(mesh_path)}")
+                native_mesh = mesh._native
+        elif mesh is not None:
+            options.append(f"--mesh={os.fspath(mesh)}")
+            if mesh_unit is not None:
+                options.append(f"--mesh-unit={mesh_unit}")
         if isinstance(symmetries, Mapping):
             path = Path(folder) / "symmetries.json"
             path.write_text(json.dumps(dict(symmetries)), encoding="utf-8")
@@ -189,7 +189,7 @@ def evaluate(
         if symmetries is not None:
             options.append(f"--symmetries={os.fspath(symmetries)}")
         text, table = _native.evaluate(
-            options, _poses("predictions", predictions), _poses("gt", gt)
+            options, _poses("predictions", predictions), _poses("gt", gt), native_mesh
         )
     return Evaluation.from_json(text, table)
 
@@ -219,14 +219,6 @@ def _poses(name: str, given: Poses) -> _NativePoses:
             f"{name}: expected as many R, t and ids, got {len(R)}, {len(t)} and {len(ids)}"
         )
     return R, t, ids
-
-
-def _write_obj(mesh: Mesh, path: Path) -> Path:
-    """The mesh as OBJ text; ``repr`` of a float reads back to the same bits."""
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
-    return path
 
 
 def _number_or_word(value: float | str) -> str:

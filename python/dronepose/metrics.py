@@ -535,9 +535,8 @@ def _projection(
     symmetries: _native.Symmetries,
     threads: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-    if camera.skew != 0.0:
-        raise ValueError(f"camera: a skew of {camera.skew} is not supported")
+    c = camera
+    intrinsics = (c.fx, c.fy, c.cx, c.cy, c.skew, c.width, c.height)
     return _native.projection(mesh._native, *poses, symmetries, intrinsics, threads)
 
 
@@ -562,7 +561,7 @@ def mspd(
         t_est: ``(..., 3)``, metres.
         R_gt: ``(..., 3, 3)``.
         t_gt: ``(..., 3)``, metres.
-        camera: The camera, without skew.
+        camera: The camera.
         symmetries: :class:`Symmetries`, or its discrete transforms; none by default.
         threads: 0 for all cores.
 
@@ -571,7 +570,7 @@ def mspd(
         no projection exists.
 
     Raises:
-        ValueError: As :func:`mssd`, or the camera has a skew.
+        ValueError: As :func:`mssd`.
 
     Example:
         >>> camera = Camera.from_fov(320, 240, horizontal_deg=64.69)  # doctest: +SKIP
@@ -601,14 +600,14 @@ def projection_error(
         t_est: ``(..., 3)``, metres.
         R_gt: ``(..., 3, 3)``.
         t_gt: ``(..., 3)``, metres.
-        camera: The camera, without skew.
+        camera: The camera.
         threads: 0 for all cores.
 
     Returns:
         ``(...)`` float64, pixels; infinite where a vertex is at or behind the camera.
 
     Raises:
-        ValueError: As :func:`add`, or the camera has a skew.
+        ValueError: As :func:`add`.
 
     Example:
         >>> projection_error(mesh, R_est, t_est, R_gt, t_gt, camera) < 5  # doctest: +SKIP

@@ -31,7 +31,10 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
     let available = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let count = if threads == 0 { available().min(MAX_THREADS) } else { threads };
     if count > MAX_THREADS {
-        return Err(Error::argument("threads", format!("found {count}, expected at most {MAX_THREADS}")));
+        return Err(Error::argument(
+            "threads",
+            format!("found {count}, expected at most {MAX_THREADS}"),
+        ));
     }
     Ok(pool(count)?.install(work))
 }

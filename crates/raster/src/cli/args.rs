@@ -194,7 +194,10 @@ impl Args {
                 if let Some(unknown) = names.iter().find(|n| !CHOICES.contains(&n.as_str())) {
                     return Err(Error::argument(
                         "--metrics",
-                        format!("found '{unknown}', expected auto, all, or some of {}", CHOICES.join(",")),
+                        format!(
+                            "found '{unknown}', expected auto, all, or some of {}",
+                            CHOICES.join(",")
+                        ),
                     ));
                 }
                 Choice::These(names.to_vec())

@@ -17,6 +17,7 @@ use crate::eval::per_sample::write_per_sample;
 use crate::eval::{Cameras, Evaluator, Objects, Outcome, Progress, Request, Silent};
 use crate::io::output::Outputs;
 use crate::io::{PoseOptions, PoseTable, Unit, read_poses};
+use crate::mesh::Mesh;
 use crate::report::{self, Method, Report};
 use crate::threads;
 
@@ -116,13 +117,15 @@ fn finish(written: io::Result<()>, err: &mut dyn Write) -> u8 {
     }
 }
 
-/// Tables that are already there and need not be read from the paths in the arguments.
+/// Inputs that are already there and need not be read from the paths in the arguments.
 #[derive(Debug, Default)]
-pub struct Given {
+pub struct Given<'a> {
     /// In the place of `PREDICTIONS`.
     pub predictions: Option<PoseTable>,
     /// In the place of `GT`.
     pub gt: Option<PoseTable>,
+    /// In the place of `--mesh`, in metres.
+    pub mesh: Option<&'a Mesh>,
 }
 
 /// The evaluation behind the command, for other front ends: `args` as on the command line, the
@@ -132,7 +135,7 @@ pub struct Given {
 /// # Errors
 /// [`Error::Argument`] for a command line that is not understood; everything that the command
 /// refuses.
-pub fn evaluate_args(args: &[OsString], given: Given) -> Result<(String, String)> {
+pub fn evaluate_args(args: &[OsString], given: Given<'_>) -> Result<(String, String)> {
     let args = Args::try_parse_from(args).map_err(|usage| {
         let text = usage.to_string();
         let first = text.lines().next().unwrap_or_default();
@@ -146,7 +149,7 @@ pub fn evaluate_args(args: &[OsString], given: Given) -> Result<(String, String)
 fn evaluate(
     args: &Args,
     request: &Request,
-    given: Given,
+    given: Given<'_>,
     terminal: Terminal,
 ) -> Result<(Outcome, String)> {
     let bar = (terminal.progress && !args.quiet).then(Bar::new);
@@ -168,7 +171,7 @@ fn evaluate(
     Ok((outcome, printed))
 }
 
-fn load(args: &Args, given: Given) -> Result<Loaded> {
+fn load(args: &Args, given: Given<'_>) -> Result<Loaded> {
     let options = |unit: Option<args::PoseUnit>| PoseOptions {
         format: args.pose_format(),
         unit: unit.or(args.unit).map(Unit::from),
@@ -184,7 +187,7 @@ fn load(args: &Args, given: Given) -> Result<Loaded> {
             || read(given.gt, &args.gt, args.gt_unit),
         )
     };
-    let ((predictions, gt), objects) = rayon::join(poses, || load_objects(args));
+    let ((predictions, gt), objects) = rayon::join(poses, || load_objects(args, given.mesh));
     let (mut predictions, mut gt, objects) = (predictions?, gt?, objects?);
     let mut others = Vec::with_capacity(args.compare.len());
     for path in &args.compare {
@@ -199,8 +202,8 @@ fn load(args: &Args, given: Given) -> Result<Loaded> {
     Ok(Loaded { predictions, gt, others, objects, cameras })
 }
 
-fn load_objects(args: &Args) -> Result<Objects> {
-    let mut objects = Objects::default();
+fn load_objects(args: &Args, mesh: Option<&Mesh>) -> Result<Objects> {
+    let mut objects = mesh.map(Objects::from_mesh).transpose()?.unwrap_or_default();
     if let Some(mesh) = &args.mesh {
         objects.read_mesh(mesh, args.mesh_unit.map(Unit::from))?;
     }

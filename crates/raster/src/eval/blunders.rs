@@ -12,7 +12,11 @@ const SAMPLE: usize = 2000;
 
 /// Warnings about `predictions`, given the matched pairs (ground-truth row, prediction row).
 #[must_use]
-pub fn warnings(predictions: &PoseTable, gt: &PoseTable, pairs: &[(u32, u32)]) -> Vec<String> {
+pub(super) fn warnings(
+    predictions: &PoseTable,
+    gt: &PoseTable,
+    pairs: &[(u32, u32)],
+) -> Vec<String> {
     let step = pairs.len().div_ceil(SAMPLE).max(1);
     let sample: Vec<(u32, u32)> = pairs.iter().copied().step_by(step).collect();
     let mut out = Vec::new();
@@ -34,8 +38,7 @@ fn unit(predictions: &PoseTable, gt: &PoseTable, sample: &[(u32, u32)]) -> Optio
     for factor in [1000.0, 100.0, 10.0] {
         let near = |r: f64| (r / factor - 1.0).abs() < 0.25;
         if near(ratio) || near(1.0 / ratio) {
-            let (more, less) =
-                if ratio > 1.0 { (predictions, gt) } else { (gt, predictions) };
+            let (more, less) = if ratio > 1.0 { (predictions, gt) } else { (gt, predictions) };
             let hint = match (factor as u32, ratio > 1.0) {
                 (1000, true) => "pass --pred-unit mm",
                 (1000, false) => "pass --gt-unit mm",

@@ -140,7 +140,9 @@ pub(crate) fn samples(
             s.proj_px = Some(both.iter().map(|e| e.proj).collect());
         }
     } else if !cameras && !scene.cameras.is_empty() {
-        notes.push("projection errors were left out: the camera file lacks some of the images".into());
+        notes.push(
+            "projection errors were left out: the camera file lacks some of the images".into(),
+        );
     }
     (s, notes)
 }
@@ -177,7 +179,11 @@ impl Candidates {
 /// BOP's average recalls over MSSD and MSPD. Hodaň et al., "BOP Challenge 2020", ECCVW 2020.
 ///
 /// Estimates whose translation is off by a diameter or more are wrong, as in the toolkit's scripts.
-pub(crate) fn bop(scene: Scene<'_>, pairs: &[(u32, u32)], s: &Samples) -> (Option<Bop>, Vec<String>) {
+pub(crate) fn bop(
+    scene: Scene<'_>,
+    pairs: &[(u32, u32)],
+    s: &Samples,
+) -> (Option<Bop>, Vec<String>) {
     let mut notes = Vec::new();
     let n_gt = scene.gt.len();
     let Some(mssd) = &s.mssd_m else { return (None, notes) };
@@ -186,9 +192,14 @@ pub(crate) fn bop(scene: Scene<'_>, pairs: &[(u32, u32)], s: &Samples) -> (Optio
         .filter(|groups| groups.iter().any(|(instances, _)| instances.len() > 1));
     let far = |pair: (u32, u32)| {
         let (est, gt) = scene.poses(pair);
-        scene.object(pair).bop_diameter().is_none_or(|d| est.translation.distance(gt.translation) >= d)
+        scene
+            .object(pair)
+            .bop_diameter()
+            .is_none_or(|d| est.translation.distance(gt.translation) >= d)
     };
-    let candidates = |error: &(dyn Fn((u32, u32)) -> f64 + Sync), known: &[f64]| -> Vec<Candidates> {
+    let candidates = |error: &(dyn Fn((u32, u32)) -> f64 + Sync),
+                      known: &[f64]|
+     -> Vec<Candidates> {
         match &groups {
             None => pairs
                 .par_iter()
@@ -200,7 +211,8 @@ pub(crate) fn bop(scene: Scene<'_>, pairs: &[(u32, u32)], s: &Samples) -> (Optio
             Some(groups) => groups
                 .par_iter()
                 .map(|(instances, estimates)| {
-                    let of = |p: u32, g: u32| if far((g, p)) { f64::INFINITY } else { error((g, p)) };
+                    let of =
+                        |p: u32, g: u32| if far((g, p)) { f64::INFINITY } else { error((g, p)) };
                     let row = |&p: &u32| instances.iter().map(|&g| of(p, g)).collect();
                     Candidates { errors: estimates.iter().map(row).collect() }
                 })
@@ -212,7 +224,9 @@ pub(crate) fn bop(scene: Scene<'_>, pairs: &[(u32, u32)], s: &Samples) -> (Optio
     };
     // A group has one object, so one diameter.
     let diameters: Vec<f64> = match &groups {
-        None => pairs.iter().map(|&pair| scene.object(pair).bop_diameter().unwrap_or(0.0)).collect(),
+        None => {
+            pairs.iter().map(|&pair| scene.object(pair).bop_diameter().unwrap_or(0.0)).collect()
+        }
         Some(groups) => groups
             .iter()
             .map(|(g, p)| {
@@ -226,7 +240,10 @@ pub(crate) fn bop(scene: Scene<'_>, pairs: &[(u32, u32)], s: &Samples) -> (Optio
             let (est, gt) = scene.poses(pair);
             let object = scene.object(pair);
             let symmetries = object.symmetries.transforms();
-            object.mesh.as_ref().map_or(f64::INFINITY, |m| metrics::mssd(&m.set, est, gt, symmetries))
+            object
+                .mesh
+                .as_ref()
+                .map_or(f64::INFINITY, |m| metrics::mssd(&m.set, est, gt, symmetries))
         },
         mssd,
     );

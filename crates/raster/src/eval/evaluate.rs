@@ -81,7 +81,9 @@ impl Evaluator<'_> {
         let mut other_samples = Vec::with_capacity(others.len());
         for table in others {
             let mut other = self.score(table, progress)?;
-            let taken = |name: &str| first.name == name || compare.iter().any(|c: &Comparison| c.name == name);
+            let taken = |name: &str| {
+                first.name == name || compare.iter().any(|c: &Comparison| c.name == name)
+            };
             if taken(&other.name) {
                 // Two files of one name: tell them apart by their paths.
                 other.name.clone_from(&table.source.path);
@@ -234,9 +236,11 @@ impl Evaluator<'_> {
         let count = |pass: &dyn Fn(usize) -> bool| {
             recall((0..s.len()).filter(|&i| pass(i)).count(), s.len(), n_gt)
         };
-        let acc = self.request.acc.iter().map(|x| {
-            (x.label.clone(), count(&|i| accurate(s.te_m[i], s.oe_rad[i], x.value)))
-        });
+        let acc = self
+            .request
+            .acc
+            .iter()
+            .map(|x| (x.label.clone(), count(&|i| accurate(s.te_m[i], s.oe_rad[i], x.value))));
         let vertex_recall = |errors: &Option<Vec<f64>>| {
             errors.as_ref().map(|errors| self.reference_recall(errors, reference_m))
         };
@@ -306,7 +310,10 @@ impl Evaluator<'_> {
             ("cpe".to_owned(), false, (0..s.len()).map(|i| s.cpe(i)).collect()),
         ];
         let optional = [
-            ("oe_sym_deg", s.oe_sym_rad.as_ref().map(|c| c.iter().map(|x| x.to_degrees()).collect())),
+            (
+                "oe_sym_deg",
+                s.oe_sym_rad.as_ref().map(|c| c.iter().map(|x| x.to_degrees()).collect()),
+            ),
             ("add_m", s.add_m.clone()),
             ("adds_m", s.adds_m.clone()),
             ("mssd_m", s.mssd_m.clone()),
@@ -394,7 +401,10 @@ impl Evaluator<'_> {
             if let Some(d) = paired(&differences, self.resamples(), self.request.seed) {
                 if name == "oe_rad" {
                     let ci95 = d.ci95.map(|i| i.map(f64::to_degrees));
-                    out.insert("oe_deg".into(), Difference { mean: d.mean.to_degrees(), ci95, ..d });
+                    out.insert(
+                        "oe_deg".into(),
+                        Difference { mean: d.mean.to_degrees(), ci95, ..d },
+                    );
                 }
                 out.insert(name, d);
             }

@@ -57,7 +57,8 @@ fn breakdown(
         Keys::Words(words) => words.into_iter().map(|w| w.map(Key::Word)).collect(),
         Keys::Numbers(values) => {
             edges = ranges(&values, step);
-            let bin = |x: f64| edges.partition_point(|&e| e <= x).saturating_sub(1).min(edges.len() - 2);
+            let bin =
+                |x: f64| edges.partition_point(|&e| e <= x).saturating_sub(1).min(edges.len() - 2);
             values.into_iter().map(|v| v.map(|x| Key::Bin(bin(x)))).collect()
         }
     };
@@ -82,7 +83,9 @@ fn breakdown(
     let mut groups: Vec<_> = groups.into_iter().collect();
     // Words that are numbers go by their value: 2 before 10.
     if groups.iter().all(|(key, _)| key.number().is_some()) {
-        groups.sort_by(|(a, _), (b, _)| a.number().partial_cmp(&b.number()).unwrap_or(Ordering::Equal));
+        groups.sort_by(|(a, _), (b, _)| {
+            a.number().partial_cmp(&b.number()).unwrap_or(Ordering::Equal)
+        });
     }
     let groups = groups.into_iter().map(|(key, (n_gt, rows))| {
         let (label, from, to) = match key {
@@ -114,9 +117,10 @@ impl Key {
 
 /// Edges of "nice" ranges (1, 2 or 5 times a power of ten wide) over the values, at least two.
 fn ranges(values: &[Option<f64>], step: Option<f64>) -> Vec<f64> {
-    let (low, high) = values.iter().flatten().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &x| {
-        (l.min(x), h.max(x))
-    });
+    let (low, high) = values
+        .iter()
+        .flatten()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &x| (l.min(x), h.max(x)));
     if !low.is_finite() {
         return vec![0.0, 1.0];
     }
@@ -142,7 +146,8 @@ fn ranges(values: &[Option<f64>], step: Option<f64>) -> Vec<f64> {
 /// A column of either file, over the ground truth.
 fn column(scene: Scene<'_>, s: &Samples, name: &str) -> Result<Keys> {
     let n = scene.gt.len();
-    let named = |t: &crate::io::PoseTable| t.extra.iter().position(|c| c.name.eq_ignore_ascii_case(name));
+    let named =
+        |t: &crate::io::PoseTable| t.extra.iter().position(|c| c.name.eq_ignore_ascii_case(name));
     let mut words: Vec<Option<String>> = vec![None; n];
     if let Some(k) = named(scene.gt) {
         let values = scene.gt.extra[k].values.iter();
@@ -190,9 +195,10 @@ fn group(
     let percent = |pass: &dyn Fn(usize) -> bool| {
         100.0 * rows.iter().filter(|&&i| pass(i)).count() as f64 / n_gt as f64
     };
-    let acc = request.acc.iter().map(|x| {
-        (x.label.clone(), percent(&|i| accurate(s.te_m[i], s.oe_rad[i], x.value)))
-    });
+    let acc = request
+        .acc
+        .iter()
+        .map(|x| (x.label.clone(), percent(&|i| accurate(s.te_m[i], s.oe_rad[i], x.value))));
     let add_recall = s.add_m.iter().flat_map(|add| {
         request.add.iter().map(|k| {
             let pass = |i: usize| add[i] < k.value / 100.0 * reference_m[i];
@@ -224,7 +230,10 @@ mod tests {
         let edges = ranges(&[Some(0.83), Some(1.47), None], None);
         assert_eq!(edges, [0.8, 1.0, 1.2, 1.4, 1.6]);
         assert_eq!(ranges(&[Some(-180.0), Some(180.0)], Some(45.0)).len(), 9);
-        assert_eq!(ranges(&[Some(-89.0), Some(12.0)], Some(30.0)), [-90.0, -60.0, -30.0, 0.0, 30.0]);
+        assert_eq!(
+            ranges(&[Some(-89.0), Some(12.0)], Some(30.0)),
+            [-90.0, -60.0, -30.0, 0.0, 30.0]
+        );
         let one = ranges(&[Some(2.0)], None);
         assert!(one[0] <= 2.0 && one[one.len() - 1] > 2.0, "{one:?}");
         assert_eq!(ranges(&[None], None), [0.0, 1.0]);

@@ -78,13 +78,16 @@ pub struct Objects {
 }
 
 impl Objects {
-    /// One mesh for everything.
+    /// One mesh in memory, in metres, for everything; its digest is that of the vertices.
     ///
     /// # Errors
     /// As [`MeshModel::new`].
     pub fn from_mesh(mesh: &Mesh) -> Result<Self> {
         let mut objects = Self::default();
         objects.default.mesh = Some(Arc::new(MeshModel::new(mesh)?));
+        objects.unit = Some(Unit::Metre);
+        let numbers = mesh.vertices().iter().flat_map(|v| v.to_array());
+        objects.mesh_files.push(InputFile::array("mesh", numbers));
         Ok(objects)
     }
 
@@ -145,10 +148,12 @@ impl Objects {
     fn load(&mut self, path: &Path, unit: Unit) -> Result<Arc<MeshModel>> {
         let mesh = read_mesh(path)?;
         // Dividing rounds once; multiplying by 0.001 would round twice.
-        let metres = |v: glam::DVec3| glam::DVec3::from_array(v.to_array().map(|c| unit.to_metres(c)));
+        let metres =
+            |v: glam::DVec3| glam::DVec3::from_array(v.to_array().map(|c| unit.to_metres(c)));
         let vertices = mesh.vertices().iter().copied().map(metres).collect();
         let mesh = Mesh::new(vertices, mesh.faces().to_vec())?;
-        let format = path.extension().map_or_else(String::new, |e| e.to_string_lossy().to_lowercase());
+        let format =
+            path.extension().map_or_else(String::new, |e| e.to_string_lossy().to_lowercase());
         self.mesh_files.push(Input::open(path)?.finish(&format)?);
         let model = MeshModel::new(&mesh)?;
         if !(0.01..=50.0).contains(&model.diagonal) {
@@ -181,11 +186,15 @@ impl Objects {
         let stem = |p: &Path| p.file_stem().map(|n| n.to_string_lossy().into_owned());
         let wanted: Vec<String> =
             mesh.into_iter().flat_map(|m| [name(m), stem(m)]).flatten().collect();
-        let number = |key: &str| {
-            key.parse::<u32>().ok().or_else(|| key.strip_prefix("obj_")?.parse().ok())
-        };
+        let number =
+            |key: &str| key.parse::<u32>().ok().or_else(|| key.strip_prefix("obj_")?.parse().ok());
         let of_mesh = wanted.iter().find_map(|w| {
-            infos.get(w).or_else(|| infos.iter().find(|(k, _)| number(k).is_some() && number(k) == number(w)).map(|(_, i)| i))
+            infos.get(w).or_else(|| {
+                infos
+                    .iter()
+                    .find(|(k, _)| number(k).is_some() && number(k) == number(w))
+                    .map(|(_, i)| i)
+            })
         });
         if let Some(info) = of_mesh.or_else(|| infos.values().next().filter(|_| infos.len() == 1)) {
             set_info(&mut self.default, info, &place)?;

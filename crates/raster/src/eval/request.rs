@@ -78,7 +78,9 @@ impl std::str::FromStr for Reference {
             "diameter" => Ok(Self::Diameter),
             _ => match text.trim_end_matches('m').trim_end().parse::<f64>() {
                 Ok(m) if m > 0.0 && m.is_finite() => Ok(Self::Metres(m)),
-                _ => Err("expected bbox-diagonal, diameter, or a length in metres above zero".into()),
+                _ => {
+                    Err("expected bbox-diagonal, diameter, or a length in metres above zero".into())
+                }
             },
         }
     }

@@ -24,6 +24,19 @@ pub struct InputFile {
     pub bytes: u64,
 }
 
+impl InputFile {
+    /// The record of numbers in memory; the digest is that of their little-endian bytes.
+    #[must_use]
+    pub fn array(name: &str, numbers: impl Iterator<Item = f64>) -> Self {
+        let mut counter = Counter::default();
+        for x in numbers {
+            counter.sha256.update(x.to_le_bytes());
+            counter.bytes += 8;
+        }
+        counter.record(name.to_owned(), "array")
+    }
+}
+
 const BUFFER: usize = 1 << 18;
 
 /// An open input and what is needed to talk about it.
@@ -45,6 +58,17 @@ impl std::fmt::Debug for Input {
 struct Counter {
     sha256: Sha256,
     bytes: u64,
+}
+
+impl Counter {
+    fn record(self, path: String, format: &str) -> InputFile {
+        let mut sha256 = String::with_capacity(64);
+        for byte in self.sha256.finalize() {
+            // Writing to a string cannot fail.
+            let _ = write!(sha256, "{byte:02x}");
+        }
+        InputFile { path, format: format.to_owned(), sha256, bytes: self.bytes }
+    }
 }
 
 /// Hashes and counts what passes through, as it is on disk.
@@ -183,18 +207,7 @@ impl Input {
         let drained = io::copy(&mut self.reader, &mut io::sink());
         drained.map_err(|e| self.read_error(e))?;
         let mut counter = self.digest.lock().unwrap_or_else(PoisonError::into_inner);
-        let sha256 = std::mem::take(&mut counter.sha256).finalize();
-        let mut hex = String::with_capacity(64);
-        for byte in sha256 {
-            // Writing to a string cannot fail.
-            let _ = write!(hex, "{byte:02x}");
-        }
-        Ok(InputFile {
-            path: self.path.display().to_string(),
-            format: format.to_owned(),
-            sha256: hex,
-            bytes: counter.bytes,
-        })
+        Ok(std::mem::take(&mut *counter).record(self.path.display().to_string(), format))
     }
 }
 

@@ -144,8 +144,6 @@ impl PoseTable {
     /// # Errors
     /// [`Error::Argument`] for no pose, another number of ids, or translations that are not finite.
     pub fn from_poses(name: &str, poses: Vec<Pose>, ids: Option<&[String]>) -> Result<Self> {
-        use sha2::{Digest, Sha256};
-
         if poses.is_empty() {
             return Err(Error::argument(name, "found no pose, expected at least one"));
         }
@@ -154,26 +152,19 @@ impl PoseTable {
             let message = format!("found {} ids for {} poses", ids.len(), poses.len());
             return Err(Error::argument(name, message));
         }
-        let mut sha256 = Sha256::new();
         let mut table_ids = Strings::default();
         for (row, pose) in poses.iter().enumerate() {
             let t = pose.translation;
             translation(t.to_array(), Unit::Metre, || Place::file(&format!("{name}.t[{row}]")))?;
-            for x in pose.rotation.to_array().iter().chain(&t.to_array()) {
-                sha256.update(x.to_le_bytes());
-            }
             match ids {
                 Some(ids) => table_ids.push(&ids[row]),
                 None => table_ids.push(&row.to_string()),
             }
         }
+        let flat = |p: &Pose| p.rotation.to_array().into_iter().chain(p.translation.to_array());
+        let numbers = poses.iter().flat_map(flat);
         Ok(Self {
-            source: InputFile {
-                path: name.to_owned(),
-                format: "array".into(),
-                sha256: sha256.finalize().iter().map(|b| format!("{b:02x}")).collect(),
-                bytes: 56 * poses.len() as u64,
-            },
+            source: InputFile::array(name, numbers),
             name: name.to_owned(),
             unit: Unit::Metre,
             ids: table_ids,

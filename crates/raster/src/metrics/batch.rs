@@ -37,7 +37,7 @@ pub fn add_batch(set: &VertexSet, est: &[Pose], gt: &[Pose]) -> Result<Vec<f64>>
                 if let ([first, second], [e1, e2], [g1, g2]) = (&mut *out, est, gt) {
                     [*first, *second] = add::add_two(set, [(e1, g1), (e2, g2)]);
                 } else {
-                    out[0] = add::add(set, &est[0], &gt[0]);
+                    out[0] = add(set, &est[0], &gt[0]);
                 }
             }
         },
@@ -67,7 +67,7 @@ pub fn adds_batch(set: &VertexSet, est: &[Pose], gt: &[Pose]) -> Result<Vec<f64>
         // Built here, so that no worker waits for another.
         set.nearest();
     }
-    each(est, gt, |est, gt| adds::adds(set, est, gt))
+    each(est, gt, |est, gt| adds(set, est, gt))
 }
 
 /// [`mssd::mssd`] of each pair, in metres.
@@ -80,7 +80,7 @@ pub fn mssd_batch(
     gt: &[Pose],
     symmetries: &[Pose],
 ) -> Result<Vec<f64>> {
-    each(est, gt, |est, gt| mssd::mssd(set, est, gt, symmetries))
+    each(est, gt, |est, gt| mssd(set, est, gt, symmetries))
 }
 
 /// [`projection_errors`] of each pair, in pixels.
@@ -148,8 +148,7 @@ mod tests {
                 add_below_batch(&set, &est, &gt, 0.05).expect("equally long"),
             )
         };
-        let single: Vec<f64> =
-            est.iter().zip(&gt).map(|(est, gt)| add::add(&set, est, gt)).collect();
+        let single: Vec<f64> = est.iter().zip(&gt).map(|(est, gt)| add(&set, est, gt)).collect();
         let first = all();
         assert_eq!(first.0, single);
         assert!(first.0[7] == 0.0 && first.1[7] == 0.0 && first.2[7] == 0.0);

@@ -7,6 +7,7 @@ use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use super::mesh::PyMesh;
 use crate::cli::{Given, evaluate_args};
 use crate::io::PoseTable;
 use crate::{Error, Pose, rotation};
@@ -27,8 +28,11 @@ impl Poses<'_> {
         };
         let (matrices, translations) = (r.as_chunks::<9>().0, t.as_chunks::<3>().0);
         if matrices.len() != translations.len() {
-            let text =
-                format!("{name}: {} rotations, {} translations", matrices.len(), translations.len());
+            let text = format!(
+                "{name}: {} rotations, {} translations",
+                matrices.len(),
+                translations.len()
+            );
             return Err(PyValueError::new_err(text));
         }
         let mut poses = Vec::with_capacity(matrices.len());
@@ -48,11 +52,13 @@ impl Poses<'_> {
 
 /// Score predictions: options as on the command line; the JSON and the terminal table.
 #[pyfunction]
+#[expect(clippy::needless_pass_by_value, reason = "arguments come from Python by value")]
 pub(super) fn evaluate(
     py: Python<'_>,
     options: Vec<OsString>,
     predictions: Poses<'_>,
     gt: Poses<'_>,
+    mesh: Option<PyRef<'_, PyMesh>>,
 ) -> PyResult<(String, String)> {
     let (predictions_path, predictions) = predictions.resolve("predictions")?;
     let (gt_path, gt) = gt.resolve("gt")?;
@@ -60,5 +66,6 @@ pub(super) fn evaluate(
     args.extend(options);
     // Behind `--`, a path may begin with a dash.
     args.extend(["--".into(), predictions_path, gt_path]);
-    Ok(py.detach(|| evaluate_args(&args, Given { predictions, gt }))?)
+    let mesh = mesh.as_deref().map(PyMesh::mesh);
+    Ok(py.detach(|| evaluate_args(&args, Given { predictions, gt, mesh }))?)
 }

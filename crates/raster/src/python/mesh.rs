@@ -27,6 +27,11 @@ impl PyMesh {
         Self { mesh, vertex_set: OnceLock::new() }
     }
 
+    /// The mesh, in metres.
+    pub(super) fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
     /// The vertices as the metrics take them.
     pub(super) fn vertex_set(&self) -> crate::Result<&VertexSet> {
         if let Some(set) = self.vertex_set.get() {
