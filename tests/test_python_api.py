@@ -509,11 +509,12 @@ class TestCamera:
         with pytest.raises(ValueError, match=r"^K: "):
             Camera.from_K(K, 10, 10)
 
-    def test_a_skew_is_refused_where_it_would_be_ignored(self):
-        camera = Camera(500, 500, 320, 240, 640, 480, skew=1.0)
-        mesh, R, t = Mesh(np.eye(3), []), np.eye(3), [0, 0, 5]
-        with pytest.raises(ValueError, match="skew"):
-            metrics.mspd(mesh, R, t, R, t, camera)
+    def test_a_skew_shears_the_projection(self):
+        # A point moves by 0.1 m along y at 5 m: by 10 px along v, and by 1 px along u.
+        camera = Camera(500, 500, 320, 240, 640, 480, skew=50.0)
+        mesh, R = Mesh(np.zeros((1, 3)), []), np.eye(3)
+        error = metrics.mspd(mesh, R, [0, 0.1, 5], R, [0, 0, 5], camera)
+        np.testing.assert_allclose(error, np.hypot(10, 1), rtol=1e-12)
 
 
 def example_arrays(name):

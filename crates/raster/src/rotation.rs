@@ -134,15 +134,12 @@ pub fn from_matrix(rows: [[f64; 3]; 3]) -> Result<(DQuat, f64), NotARotation> {
     }
     let m = DMat3::from_cols_array_2d(&rows).transpose();
     let gram = m * m.transpose() - DMat3::IDENTITY;
-    let departure = gram.to_cols_array().iter().fold(0.0_f64, |d, c| d.max(c.abs()));
+    // An overflow of the products makes infinities, or NaN where two of them cancel.
+    let elements = gram.to_cols_array().map(|c| if c.is_nan() { f64::INFINITY } else { c.abs() });
+    let departure = elements.into_iter().fold(0.0, f64::max);
     let determinant = m.determinant();
-    // `!(<=)` also refuses the NaN that an overflow of the product makes.
-    if !(departure <= MAX_DEPARTURE) {
-        return Err(if departure.is_nan() {
-            NotARotation::NotOrthonormal { departure: f64::INFINITY, determinant: f64::INFINITY }
-        } else {
-            NotARotation::NotOrthonormal { departure, determinant }
-        });
+    if departure > MAX_DEPARTURE {
+        return Err(NotARotation::NotOrthonormal { departure, determinant });
     }
     if determinant < 0.0 {
         return Err(NotARotation::Reflection { determinant });
@@ -178,7 +175,7 @@ pub fn from_6d(a: [f64; 3], b: [f64; 3], layout: SixD) -> Result<DQuat, NotARota
 pub enum SixD {
     /// The first two columns (Zhou et al., the paper).
     Columns,
-    /// The first two rows (PyTorch3D).
+    /// The first two rows (`PyTorch3D`).
     Rows,
 }
 
@@ -268,12 +265,12 @@ mod tests {
     proptest! {
         #[test]
         fn equal_rotations_are_exactly_zero_apart(q in unit()) {
-            prop_assert_eq!(angle(q, q), 0.0);
-            prop_assert_eq!(angle(q, -q), 0.0);
+            prop_assert_eq!(angle(q, q).to_bits(), 0);
+            prop_assert_eq!(angle(q, -q).to_bits(), 0);
         }
 
         #[test]
-        fn the_angle_is_that_of_the_turn_between(q in unit(), axis in prop::array::uniform3(-1.0..1.0_f64), a in 0.0..3.14_f64) {
+        fn the_angle_is_that_of_the_turn_between(q in unit(), axis in prop::array::uniform3(-1.0..1.0_f64), a in 0.0..3.1_f64) {
             let axis = DVec3::from_array(axis);
             prop_assume!(axis.length() > 0.1);
             let turn = from_axis_angle((axis.normalize() * a).to_array()).expect("finite");

@@ -15,7 +15,7 @@ const REDRAW: Duration = Duration::from_millis(200);
 
 /// The bar, and the thread that draws it.
 pub(super) struct Bar {
-    bar: Arc<ProgressBar>,
+    shown: Arc<ProgressBar>,
     stop: Option<Sender<()>>,
     drawer: Option<JoinHandle<()>>,
 }
@@ -40,19 +40,19 @@ impl Bar {
                 drawn.finish_and_clear();
             }
         });
-        Self { bar, stop: Some(stop), drawer: Some(drawer) }
+        Self { shown: bar, stop: Some(stop), drawer: Some(drawer) }
     }
 }
 
 impl Progress for Bar {
     fn begin(&self, stage: &str, total: u64) {
-        self.bar.reset();
-        self.bar.set_length(total);
-        self.bar.set_message(stage.to_owned());
+        self.shown.reset();
+        self.shown.set_length(total);
+        self.shown.set_message(stage.to_owned());
     }
 
     fn advance(&self, steps: u64) {
-        self.bar.inc(steps);
+        self.shown.inc(steps);
     }
 }
 

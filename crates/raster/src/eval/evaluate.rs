@@ -279,7 +279,8 @@ impl Evaluator<'_> {
                 (k.label.clone(), recall(count, errors.len(), self.gt.len()))
             })
             .collect();
-        let same = reference_m.first().filter(|&&r| reference_m.iter().all(|&x| x == r));
+        let same =
+            reference_m.first().filter(|&&r| reference_m.iter().all(|x| x.total_cmp(&r).is_eq()));
         let mut by_object = BTreeMap::new();
         if let (None, Some(targets)) = (same, &self.gt.targets) {
             for t in targets {

@@ -290,8 +290,8 @@ mod tests {
     }
 
     fn csv(ids: &[&str]) -> PoseTable {
-        let rows: String = ids.iter().map(|id| format!("{id},1,0,0,0,0,0,1\n")).collect();
-        table(&format!("id,qw,qx,qy,qz,tx,ty,tz\n{rows}"))
+        let rows: Vec<String> = ids.iter().map(|id| format!("{id},1,0,0,0,0,0,1")).collect();
+        table(&format!("id,qw,qx,qy,qz,tx,ty,tz\n{}\n", rows.join("\n")))
     }
 
     fn bop(rows: &[(u32, u32, f64, f64)]) -> PoseTable {

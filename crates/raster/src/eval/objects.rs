@@ -86,7 +86,7 @@ impl Objects {
         let mut objects = Self::default();
         objects.default.mesh = Some(Arc::new(MeshModel::new(mesh)?));
         objects.unit = Some(Unit::Metre);
-        let numbers = mesh.vertices().iter().flat_map(|v| v.to_array());
+        let numbers = mesh.vertices().iter().flat_map(glam::DVec3::to_array);
         objects.mesh_files.push(InputFile::array("mesh", numbers));
         Ok(objects)
     }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
-use serde::de::{Deserializer, IgnoredAny, MapAccess, Visitor};
+use serde::de::{Deserializer, MapAccess, Visitor};
 
 use crate::error::{Error, Place, Result, quoted};
 use crate::io::input::{Input, InputFile};
@@ -337,8 +337,6 @@ fn object_info(raw: &RawInfo, unit: Unit, place: impl Fn(&str) -> Place) -> Resu
 struct RawSceneCamera {
     #[serde(rename = "cam_K")]
     k: Vec<f64>,
-    #[serde(flatten)]
-    _rest: BTreeMap<String, IgnoredAny>,
 }
 
 /// `cam_K` of every image in a `scene_camera.json`, row-major.

@@ -25,6 +25,15 @@ pub struct InputFile {
 }
 
 impl InputFile {
+    /// The record of two files as one: the digest is that of both digests in hexadecimal.
+    #[must_use]
+    pub fn joined(&self, other: &Self) -> Self {
+        let mut counter = Counter { bytes: self.bytes + other.bytes, ..Counter::default() };
+        counter.sha256.update(self.sha256.as_bytes());
+        counter.sha256.update(other.sha256.as_bytes());
+        counter.record(self.path.clone(), &self.format)
+    }
+
     /// The record of numbers in memory; the digest is that of their little-endian bytes.
     #[must_use]
     pub fn array(name: &str, numbers: impl Iterator<Item = f64>) -> Self {

@@ -121,8 +121,6 @@ fn read_folder(path: &Path, options: &PoseOptions) -> Result<PoseTable> {
 }
 
 fn append(all: &mut PoseTable, more: PoseTable) {
-    use sha2::{Digest, Sha256};
-
     all.poses.extend(more.poses);
     if let (Some(a), Some(b)) = (&mut all.targets, more.targets) {
         a.extend(b);
@@ -132,8 +130,5 @@ fn append(all: &mut PoseTable, more: PoseTable) {
     }
     all.warnings.extend(more.warnings);
     // The digest of a folder is that of its files' digests in order.
-    let both = format!("{}{}", all.source.sha256, more.source.sha256);
-    let digest = Sha256::digest(both.as_bytes());
-    all.source.sha256 = digest.iter().map(|b| format!("{b:02x}")).collect();
-    all.source.bytes += more.source.bytes;
+    all.source = all.source.joined(&more.source);
 }

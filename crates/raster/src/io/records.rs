@@ -288,7 +288,8 @@ mod tests {
         while let Some(record) = records.next_record()? {
             let mut fields = Vec::new();
             record.split_into(&mut fields);
-            let text = |f: &&[u8]| text(f).map_or("<not UTF-8>".into(), |t| t.into_owned());
+            let text =
+                |f: &&[u8]| text(f).map_or("<not UTF-8>".into(), std::borrow::Cow::into_owned);
             out.push((record.line, fields.iter().map(text).collect()));
         }
         Ok(out)

@@ -1,5 +1,6 @@
 //! The columns of the paper's tables, and the labels and units of all metrics.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use super::number;
@@ -83,7 +84,7 @@ pub(super) fn columns(report: &Report<'_>) -> Vec<Column> {
         .into_iter()
         .map(|(key, unit)| Column {
             key: Key::Mean(key),
-            name: label(key).0.to_owned(),
+            name: label(key).0.into_owned(),
             unit,
             lower: true,
             paper: true,
@@ -155,8 +156,13 @@ pub(super) fn summary<'a>(m: &'a Metrics, key: &str) -> Option<&'a Summary> {
 }
 
 /// Name, printed unit and factor to that unit of a metric. Lengths are printed in centimetres.
-pub(super) fn label(key: &str) -> (&str, &'static str, f64) {
-    match key {
+pub(super) fn label(key: &str) -> (Cow<'_, str>, &'static str, f64) {
+    for (prefix, before, after) in RECALLS {
+        if let Some(level) = key.strip_prefix(prefix) {
+            return (format!("{before}{level}{after}").into(), "%", 1.0);
+        }
+    }
+    let (name, unit, factor) = match key {
         "npe" => ("NPE", "", 1.0),
         "oe_rad" => ("OE", "rad", 1.0),
         "oe_deg" => ("OE", "deg", 1.0),
@@ -169,19 +175,37 @@ pub(super) fn label(key: &str) -> (&str, &'static str, f64) {
         "mspd_px" => ("MSPD", "px", 1.0),
         "proj_px" => ("Projection", "px", 1.0),
         other => (other, "", 1.0),
-    }
+    };
+    (name.into(), unit, factor)
 }
+
+/// Keys of recalls in [`crate::eval::Comparison::difference`], and how they are named.
+const RECALLS: [(&str, &str, &str); 3] = [
+    ("acc_", "Acc", ""),
+    ("add_recall_", "6D Pose-", ""),
+    ("adds_recall_", "ADD-S recall at ", " %"),
+];
 
 /// A name with its unit: `TE (cm)`.
 pub(super) fn titled(name: &str, unit: &str) -> String {
     if unit.is_empty() { name.to_owned() } else { format!("{name} ({unit})") }
 }
 
-/// Keys of the differences in the order of the reports, the unknown ones last.
+/// Keys of the differences in the order of the reports: errors, then recalls by level.
 pub(super) fn ordered_differences<T>(map: &BTreeMap<String, T>) -> Vec<(&str, &T)> {
-    let rank = |k: &str| SUMMARIES.iter().position(|s| *s == k).unwrap_or(SUMMARIES.len());
+    let rank = |k: &str| {
+        let recall = RECALLS.iter().position(|r| k.starts_with(r.0));
+        let level = k.rsplit('_').next().and_then(|l| l.parse().ok()).unwrap_or(0.0_f64);
+        match recall {
+            Some(i) => (SUMMARIES.len() + i, level),
+            None => (SUMMARIES.iter().position(|s| *s == k).unwrap_or(SUMMARIES.len() + 3), 0.0),
+        }
+    };
     let mut out: Vec<_> = map.iter().map(|(k, v)| (k.as_str(), v)).collect();
-    out.sort_by_key(|(k, _)| rank(k));
+    out.sort_by(|(a, _), (b, _)| {
+        let (a, b) = (rank(a), rank(b));
+        a.0.cmp(&b.0).then(a.1.total_cmp(&b.1))
+    });
     out
 }
 

@@ -332,6 +332,7 @@ fn evaluation(name: &str, s: &Samples, n_gt: usize, mesh: bool) -> Evaluation {
             .collect(),
     };
     Evaluation {
+        notes: Vec::new(),
         schema: SCHEMA,
         version: "0.1.0",
         name: name.into(),

@@ -263,7 +263,7 @@ fn differences(out: &mut String, report: &Report<'_>, all: &[Scored<'_>]) {
             "<tr><td class=\"name\">{method}</td><td class=\"l\">{}</td><td>{}</td><td>{ci}</td>\
              <td class=\"l {class}\">{}</td><td>{}</td><td>{}</td><td class=\"l {class}\">{word}\
              </td></tr>",
-            escape(&titled(name, unit)),
+            escape(&titled(&name, unit)),
             minus(&signed(d.mean * f)),
             relative.map_or_else(String::new, |(m, ci)| whisker(m, ci, span)),
             escape(&optional(d.p, p_value)),

@@ -99,7 +99,7 @@ fn differences(out: &mut String, first: &str, s: &Scored<'_>) {
                 |[a, b]| format!("{} to {}", signed(a * f), signed(b * f)),
             );
             let p = optional(d.p, p_value);
-            vec![escape(&titled(name, unit)), signed(d.mean * f), ci, escape(&p), count(d.n)]
+            vec![escape(&titled(&name, unit)), signed(d.mean * f), ci, escape(&p), count(d.n)]
         })
         .collect();
     table(out, &["Mean of", "Difference", "95 % CI", "p", "Samples"], &rows, 1);
@@ -112,7 +112,7 @@ fn details(out: &mut String, name: &str, s: &Scored<'_>, n_gt: usize) {
             let m = summary(s.metrics, key)?;
             let (name, unit, f) = label(key);
             let values = [m.mean, m.median, m.std, m.p90, m.p95, m.max, m.rmse];
-            let mut row = vec![titled(name, unit)];
+            let mut row = vec![titled(&name, unit)];
             row.extend(values.iter().map(|x| significant(x * f)));
             row.push(count(m.n_undefined));
             Some(row)

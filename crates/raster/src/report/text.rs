@@ -128,7 +128,7 @@ impl Printer {
                 let [from, to] =
                     d.ci95.map_or([ABSENT; 2].map(str::to_owned), |ci| ci.map(|x| signed(x * f)));
                 let p = optional(d.p, p_value);
-                vec![titled(name, unit), signed(d.mean * f), from, to, p, count(d.n)]
+                vec![titled(&name, unit), signed(d.mean * f), from, to, p, count(d.n)]
             })
             .collect();
         let head = ["Mean of", "Difference", "95 % from", "to", "p", "Samples"];
@@ -146,7 +146,7 @@ impl Printer {
                     undefined.push(format!("{name} {}", count(m.n_undefined)));
                 }
                 let values = [m.mean, m.median, m.std, m.p90, m.p95, m.max];
-                let mut row = vec![titled(name, unit)];
+                let mut row = vec![titled(&name, unit)];
                 row.extend(values.iter().map(|x| significant(x * f)));
                 Some(row)
             })

@@ -44,7 +44,7 @@ pub(super) fn details(out: &mut String, all: &[Scored<'_>], n_gt: usize) {
                 let m = summary(s.metrics, key)?;
                 let (name, unit, f) = label(key);
                 let values = [m.mean, m.median, m.std, m.min, m.p90, m.p95, m.max, m.rmse];
-                let mut row = vec![titled(name, unit)];
+                let mut row = vec![titled(&name, unit)];
                 row.extend(values.iter().map(|x| significant(x * f)));
                 row.push(count(m.n_undefined));
                 Some(row)
