@@ -27,6 +27,8 @@ pub struct Records {
     line: u64,
     unquoted: Vec<u8>,
     joined: Vec<u8>,
+    /// Met while reading ahead; reported when the lines before it are used up.
+    failed: Option<Error>,
 }
 
 /// One record: its fields and where it begins.
@@ -48,6 +50,28 @@ impl<'a> Record<'a> {
         }
         fields.push(self.text[from..].trim_ascii());
     }
+}
+
+/// Calls `each` with every record of whole lines that need no state to be read: without a quote,
+/// ended by LF or CR LF. Lines are counted from 1. Returns how many there are, blank ones too;
+/// `None` for other lines, or as soon as `each` says so.
+pub(crate) fn plain_records<'a>(
+    lines: &'a [u8],
+    mut each: impl FnMut(Record<'a>) -> Option<()>,
+) -> Option<u64> {
+    let lone = |k: usize| lines[k] == b'"' || lines.get(k + 1) != Some(&b'\n');
+    if memchr::memchr2_iter(b'"', b'\r', lines).any(lone) {
+        return None;
+    }
+    let (mut line, mut from) = (0, 0);
+    for end in memchr::memchr_iter(b'\n', lines) {
+        let text = &lines[from..end];
+        (from, line) = (end + 1, line + 1);
+        if !text.trim_ascii_start().is_empty() {
+            each(Record { line, text: text.strip_suffix(b"\r").unwrap_or(text) })?;
+        }
+    }
+    (from == lines.len()).then_some(line)
 }
 
 /// Separator that stands for a comma inside quotes while a quoted record is taken apart; it
@@ -83,6 +107,7 @@ impl Records {
             line: 0,
             unquoted: Vec::new(),
             joined: Vec::new(),
+            failed: None,
         };
         records.fill()?;
         if records.buffer[..records.end].starts_with(b"\xef\xbb\xbf") {
@@ -97,6 +122,11 @@ impl Records {
         &self.input.name
     }
 
+    /// The line of the latest record.
+    pub(crate) fn line(&self) -> u64 {
+        self.line
+    }
+
     /// The input behind, after the last record.
     #[must_use]
     pub fn into_input(self) -> Input {
@@ -105,6 +135,9 @@ impl Records {
 
     /// Read more behind what is there, making room first. False at the end of the input.
     fn fill(&mut self) -> Result<bool> {
+        if let Some(error) = self.failed.take() {
+            return Err(error);
+        }
         if self.at_eof {
             return Ok(false);
         }
@@ -165,6 +198,46 @@ impl Records {
                 return Ok(Some(bounds));
             }
         }
+    }
+
+    /// Move about `size` bytes of whole lines, ended by LF, to `lines`. False if there are none:
+    /// the rest is for [`Records::next_record`], errors of reading too.
+    ///
+    /// The caller says by [`Records::used`] how many lines it has read, and gives back by
+    /// [`Records::unread`] what it could not.
+    pub(crate) fn take_lines(&mut self, size: usize, lines: &mut Vec<u8>) -> bool {
+        lines.clear();
+        while self.end - self.start < size && self.failed.is_none() {
+            match self.fill() {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) => self.failed = Some(error),
+            }
+        }
+        if self.skip_lf && self.start < self.end {
+            self.skip_lf = false;
+            self.start += usize::from(self.buffer[self.start] == b'\n');
+        }
+        let ahead = &self.buffer[self.start..self.end.min(self.start + size)];
+        let Some(last) = memchr::memrchr(b'\n', ahead) else { return false };
+        lines.extend_from_slice(&ahead[..=last]);
+        self.start += last + 1;
+        true
+    }
+
+    /// So many lines were read elsewhere.
+    pub(crate) fn used(&mut self, lines: u64) {
+        self.line += lines;
+    }
+
+    /// Put lines back in front of what comes next.
+    pub(crate) fn unread(&mut self, lines: &[u8]) {
+        let rest = self.start..self.end;
+        let mut buffer = Vec::with_capacity(lines.len() + self.buffer.len());
+        buffer.extend_from_slice(lines);
+        buffer.extend_from_slice(&self.buffer[rest]);
+        (self.start, self.end) = (0, buffer.len());
+        self.buffer = buffer;
     }
 
     /// The next record that is not blank, or `None` at the end.
@@ -339,6 +412,36 @@ mod tests {
         assert!(read(b"\"ab\"c").is_err());
     }
 
+    /// As [`read`], with lines taken ahead `size` bytes at a time where that is possible.
+    fn read_ahead(bytes: &[u8], size: usize) -> Result<Vec<(u64, Vec<String>)>> {
+        let mut records = Records::new(Input::from_bytes("x.csv", bytes.to_vec())?)?;
+        let (mut out, mut lines) = (Vec::new(), Vec::new());
+        let strings = |record: &Record<'_>| {
+            let mut fields = Vec::new();
+            record.split_into(&mut fields);
+            let text =
+                |f: &&[u8]| text(f).map_or("<not UTF-8>".into(), std::borrow::Cow::into_owned);
+            fields.iter().map(text).collect::<Vec<_>>()
+        };
+        while records.take_lines(size, &mut lines) {
+            let (before, mut rows) = (records.line, Vec::new());
+            let read = plain_records(&lines, |record| {
+                rows.push((before + record.line, strings(&record)));
+                Some(())
+            });
+            let Some(count) = read else {
+                records.unread(&lines);
+                break;
+            };
+            records.used(count);
+            out.append(&mut rows);
+        }
+        while let Some(record) = records.next_record()? {
+            out.push((record.line, strings(&record)));
+        }
+        Ok(out)
+    }
+
     #[test]
     fn a_line_of_ten_megabytes_is_read() {
         let mut line = vec![b'1'; 10 << 20];
@@ -351,6 +454,17 @@ mod tests {
         #[test]
         fn nothing_panics(bytes in prop::collection::vec(prop_oneof![Just(b'"'), Just(b','), Just(b'\n'), Just(b'\r'), any::<u8>()], 0..200)) {
             let _ = read(&bytes);
+        }
+
+        #[test]
+        fn reading_ahead_changes_nothing(
+            bytes in prop::collection::vec(prop_oneof![3 => Just(b'a'), 2 => Just(b','), 3 => Just(b'\n'), 1 => Just(b'\r'), 1 => Just(b' '), 1 => Just(b'"')], 0..80),
+            size in 1_usize..30,
+        ) {
+            let show = |rows: Result<Vec<_>>| rows.map_err(|e| e.to_string());
+            prop_assert_eq!(show(read_ahead(&bytes, size)), show(read(&bytes)));
+            let plain: Vec<u8> = bytes.into_iter().filter(|b| !matches!(b, b'"' | b'\r')).collect();
+            prop_assert_eq!(show(read_ahead(&plain, size)), show(read(&plain)));
         }
 
         #[test]
