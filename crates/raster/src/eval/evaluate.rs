@@ -448,6 +448,7 @@ impl Evaluator<'_> {
             n_symmetries: self.objects.max_symmetries(),
             bootstrap: self.resamples(),
             seed: request.seed,
+            up: request.up.name().to_owned(),
             strict: request.strict,
         }
     }
