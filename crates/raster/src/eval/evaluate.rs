@@ -488,3 +488,6 @@ fn method_name(path: &str) -> String {
     let stem = stem.rsplit_once('.').map_or(stem, |(stem, _)| stem);
     if stem.is_empty() { file.to_owned() } else { stem.to_owned() }
 }
+
+#[cfg(test)]
+mod tests;

@@ -125,7 +125,9 @@ fn ranges(values: &[Option<f64>], step: Option<f64>) -> Vec<f64> {
         return vec![0.0, 1.0];
     }
     let step = step.unwrap_or_else(|| {
-        let raw = ((high - low) / 6.0).max(low.abs().max(high.abs()).max(1e-300) * 1e-9);
+        let size = low.abs().max(high.abs());
+        // A single value gets a range of its own size.
+        let raw = if high > low { ((high - low) / 6.0).max(size * 1e-6) } else { size.max(1e-6) };
         let power = 10_f64.powf(raw.log10().floor());
         let nice = [1.0, 2.0, 5.0, 10.0].into_iter().find(|&k| k * power >= raw * 0.999);
         nice.unwrap_or(10.0) * power

@@ -354,3 +354,52 @@ pub fn parse_scene_camera(bytes: &[u8], name: &str) -> Result<BTreeMap<u32, [f64
     }
     Ok(out)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn infos(text: &str) -> Result<BTreeMap<String, ObjectInfo>> {
+        let input = Input::from_bytes("models_info.json", text.as_bytes().to_vec())?;
+        Ok(read_models_info(input, Unit::Millimetre)?.0)
+    }
+
+    #[test]
+    fn symmetries_are_read_in_metres() {
+        let text = r#"{"5": {"diameter": 100, "size_x": 1,
+            "symmetries_discrete": [[-1,0,0,20, 0,-1,0,0, 0,0,1,0, 0,0,0,1]],
+            "symmetries_continuous": [{"axis": [0,0,2], "offset": [10,0,0]}]}}"#;
+        let info = &infos(text).expect("sound")["5"];
+        assert_eq!(info.diameter, Some(0.1));
+        assert!((info.discrete[0].translation.x - 0.02).abs() < 1e-18);
+        assert_eq!(info.continuous, [(glam::DVec3::Z, glam::DVec3::new(0.01, 0.0, 0.0))]);
+        let single = infos(r#"{"symmetries_continuous": [{"axis": [0,1,0]}]}"#).expect("sound");
+        assert_eq!(single[""].continuous[0].0, glam::DVec3::Y);
+    }
+
+    #[test]
+    fn malformed_symmetries_name_their_entry() {
+        for (text, place) in [
+            (
+                r#"{"5": {"symmetries_discrete": [[1,2,3]]}}"#,
+                "5.symmetries_discrete[0]: found 3 numbers",
+            ),
+            (
+                r#"{"5": {"symmetries_continuous": [{"axis": [0,0,0]}]}}"#,
+                "5.symmetries_continuous[0]: found an axis",
+            ),
+            (r#"{"5": {"diameter": -1}}"#, "5.diameter: found -1"),
+            (r#"{"5": 3}"#, "5: found JSON"),
+            ("[", ":1:"),
+        ] {
+            let error = infos(text).expect_err(text).to_string();
+            assert!(error.starts_with("models_info.json") && error.contains(place), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_folder_names_the_scene() {
+        assert_eq!(scene_of(Path::new("test/000002/scene_gt.json")), Some(2));
+        assert_eq!(scene_of(Path::new("scene_gt.json")), None);
+    }
+}
