@@ -21,7 +21,8 @@ class Camera:
     """Intrinsics of a pinhole camera without distortion, and the size of its image.
 
     ``u = fx x/z + skew y/z + cx``, ``v = fy y/z + cy`` for a point ``(x, y, z)`` of the OpenCV
-    camera frame (x right, y down, z forward).
+    camera frame (x right, y down, z forward): Hartley & Zisserman, "Multiple View Geometry in
+    Computer Vision", 2nd ed., section 6.1.
 
     Args:
         fx: Focal length in pixels along u, above zero.
@@ -33,6 +34,7 @@ class Camera:
         skew: Shear of the pixel grid, in pixels.
 
     Raises:
+        TypeError: An argument is no number.
         ValueError: An argument is outside its range; the message starts with its name.
 
     Example:
@@ -79,7 +81,8 @@ class Camera:
         """From a camera matrix.
 
         Args:
-            K: ``(3, 3)`` matrix in pixels, with pixel centres at ``+ 0.5`` (see the module).
+            K: ``(3, 3)`` float32 or float64, in pixels, with pixel centres at ``+ 0.5`` (see the
+                module).
             width: Columns of the image.
             height: Rows of the image.
 
