@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 SHELL := /bin/bash
 WHEELS := target/wheels
 
-.PHONY: demo test lint test-rust test-python develop bench fuzz examples wheel clean help
+.PHONY: docs/report.png demo test lint test-rust test-python develop bench fuzz examples wheel clean help
 
 help:  ## List the verbs
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -67,6 +67,10 @@ fuzz:  ## Every parser for a minute (needs the nightly toolchain and cargo-fuzz)
 examples: $(BIN)/python  ## Generate the example data again
 	$(BIN)/python -m pip install --quiet numpy
 	$(BIN)/python examples/make_examples.py
+
+docs/report.png: demo chromium  ## The README's picture, from the example data
+	$(BIN)/dronepose-eval examples/predictions.csv examples/gt.csv --mesh examples/quadrotor.obj --html out/picture.html --quiet
+	chromium --headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1280,1545 --screenshot=$@ file://$(CURDIR)/out/picture.html
 
 clean:  ## Remove what was built
 	cargo clean

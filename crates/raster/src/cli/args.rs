@@ -6,7 +6,7 @@ use clap::{Parser, ValueEnum};
 
 use crate::error::{Error, Result};
 use crate::eval::request::CHOICES;
-use crate::eval::{Choice, Level, Preset, Reference, Request, Up};
+use crate::eval::{Cameras, Choice, Level, Preset, Reference, Request, Up};
 use crate::io::{Format, Unit};
 
 const EXAMPLES: &str = "\
@@ -181,6 +181,9 @@ impl Args {
     /// # Errors
     /// [`Error::Argument`] for levels that are not above zero, unknown metrics.
     pub fn request(&self) -> Result<Request> {
+        if let Some(Err(error)) = self.camera.as_deref().and_then(Cameras::from_text) {
+            return Err(Error::argument("--camera", error.to_string()));
+        }
         let preset = match self.preset.as_str() {
             "authors" => Preset::Authors,
             "bop" => Preset::Bop,

@@ -245,9 +245,8 @@ impl Cameras {
     /// [`Error::Argument`] naming the field; [`Error::Read`], [`Error::Malformed`] for a file.
     pub fn read(text: &str) -> Result<Self> {
         let path = Path::new(text);
-        if !path.exists() && text.contains(',') {
-            let default = Some(Intrinsics::parse(text)?);
-            return Ok(Self { default, text: Some(text.to_owned()), ..Self::default() });
+        if let Some(camera) = Self::from_text(text) {
+            return camera;
         }
         let mut input = Input::open(path)?;
         let bytes = input.read_all(256 << 20)?;
@@ -255,6 +254,17 @@ impl Cameras {
         cameras.text = Some(text.to_owned());
         cameras.file = Some(input.finish("json")?);
         Ok(cameras)
+    }
+
+    /// From `fx,fy,cx,cy,W,H`; `None` if the text is no list, or is the name of a file.
+    #[must_use]
+    pub fn from_text(text: &str) -> Option<Result<Self>> {
+        if !text.contains(',') || Path::new(text).exists() {
+            return None;
+        }
+        let camera = Intrinsics::parse(text);
+        let text = Some(text.to_owned());
+        Some(camera.map(|c| Self { default: Some(c), text, ..Self::default() }))
     }
 
     /// From the bytes of a JSON file, for messages called `name`.
