@@ -71,7 +71,12 @@ class Camera:
 
     @property
     def K(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
-        """The camera matrix ``(3, 3)`` float64, ``[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]``."""
+        """``[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]``, ``(3, 3)`` float64, in pixels.
+
+        Example:
+            >>> Camera(500, 500, 320, 240, width=640, height=480, skew=1).K[0].tolist()
+            [500.0, 1.0, 320.0]
+        """
         import numpy as np
 
         return np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])

@@ -158,7 +158,7 @@ def evaluate(
         >>> result.n_gt, result.n_matched
         (2000, 1937)
         >>> round(result.metrics.npe.mean, 4), result.metrics.add_recall.at["10"].count
-        (0.0199, 0)
+        (0.0199, 1818)
         >>> print(result.table())  # doctest: +SKIP
     """
     options = [
@@ -188,7 +188,11 @@ def evaluate(
     options += [f"--compare={os.fspath(path)}" for path in compare]
     native_mesh: _native.Mesh | None = None
     with tempfile.TemporaryDirectory(prefix="dronepose-") as folder:
-        if isinstance(camera, Camera):
+        if isinstance(camera, Camera) and camera.skew == 0.0:
+            c = camera
+            intrinsics = [_number(v) for v in (c.fx, c.fy, c.cx, c.cy, c.width, c.height)]
+            options.append(f"--camera={','.join(intrinsics)}")
+        elif isinstance(camera, Camera):
             path = Path(folder) / "camera.json"
             path.write_text(json.dumps(dataclasses.asdict(camera)), encoding="utf-8")
             options.append(f"--camera={path}")

@@ -41,7 +41,7 @@ class Symmetries:
         (2, 4, 4)
     """
 
-    __slots__ = ("_native",)
+    __slots__ = ("_arguments", "_native")
 
     def __init__(
         self,
@@ -71,6 +71,7 @@ class Symmetries:
         ]
         if not max_step > 0:
             raise ValueError(f"max_step: expected a step above zero, got {max_step}")
+        self._arguments = (m, [(a[:3], a[3:]) for a in axes], max_step)
         self._native = _native.Symmetries(
             np.ascontiguousarray(m[:, :3, :3]),
             np.ascontiguousarray(m[:, :3, 3]),
@@ -120,11 +121,18 @@ class Symmetries:
         """
         return self._native.transforms()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, self._arguments
+
     def __len__(self) -> int:
         return len(self._native)
 
     def __repr__(self) -> str:
         return f"Symmetries({len(self)} transforms)"
+
+
+def _again(discrete: ArrayLike, continuous: Sequence[Any], max_step: float) -> Symmetries:
+    return Symmetries(discrete, continuous, max_step=max_step)
 
 
 def native_symmetries(symmetries: Symmetries | ArrayLike | None) -> _native.Symmetries:
