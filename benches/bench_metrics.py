@@ -37,7 +37,11 @@ def vertices(path: Path | None) -> Array:
     rng = np.random.default_rng(7)
     body = rng.normal(size=(1000, 3)) * (0.08, 0.04, 0.03)
     side = 0.15 * rng.choice((-1.0, 1.0), size=(1612, 2))
-    rotors = np.column_stack([side, np.full(1612, 0.02)]) + rng.normal(size=(1612, 3)) * (0.04, 0.04, 0.002)
+    rotors = np.column_stack([side, np.full(1612, 0.02)]) + rng.normal(size=(1612, 3)) * (
+        0.04,
+        0.04,
+        0.002,
+    )
     distinct = np.concatenate([body, rotors])
     return np.concatenate([distinct, distinct[:398]])
 
@@ -120,7 +124,9 @@ def main() -> None:
     some = tuple(a[:few] for a in near)
     rows: dict[str, float] = {}
 
-    ours, exact = microseconds(lambda: np.asarray(metrics.add(points, *near, threads=1)), options.poses, 7)
+    ours, exact = microseconds(
+        lambda: np.asarray(metrics.add(points, *near, threads=1)), options.poses, 7
+    )
     rows["ADD, dronepose"] = ours
     for dtype in (np.float64, np.float32):
         best = float("inf")
@@ -129,18 +135,24 @@ def main() -> None:
                 taken, value = microseconds(
                     lambda f=form, c=chunk, d=dtype: f(points, near, c, d), options.poses, 3
                 )
-                np.testing.assert_allclose(value, exact, rtol=1e-12 if dtype is np.float64 else 1e-4)
+                np.testing.assert_allclose(
+                    value, exact, rtol=1e-12 if dtype is np.float64 else 1e-4
+                )
                 best = min(best, taken)
         rows[f"ADD, NumPy {np.dtype(dtype).name}"] = best
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
     thresholds = [0.02 * diagonal, 0.05 * diagonal, 0.1 * diagonal]
     taken, recall = microseconds(
-        lambda: np.asarray(metrics.add_recall(points, *near, thresholds, threads=1)), options.poses, 7
+        lambda: np.asarray(metrics.add_recall(points, *near, thresholds, threads=1)),
+        options.poses,
+        7,
     )
     np.testing.assert_allclose(recall, [(exact < t).mean() for t in thresholds])
     rows["ADD recall at 2, 5, 10 %, dronepose"] = taken
     metrics.adds(points, *(a[:1] for a in near), threads=1)
-    taken, value = microseconds(lambda: np.asarray(metrics.adds(points, *near, threads=1)), options.poses, 3)
+    taken, value = microseconds(
+        lambda: np.asarray(metrics.adds(points, *near, threads=1)), options.poses, 3
+    )
     rows["ADD-S, dronepose"] = taken
     taken, tree = microseconds(lambda: adds_tree(points, some), few, 3)
     np.testing.assert_allclose(value[:few], tree, rtol=1e-12, atol=1e-14)
