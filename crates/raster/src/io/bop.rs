@@ -9,7 +9,7 @@ use std::path::Path;
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, Visitor};
 
-use crate::error::{Error, Place, Result, quoted};
+use crate::error::{Error, Place, Result, quoted, visible};
 use crate::io::input::{Input, InputFile};
 use crate::io::pose_csv::number;
 use crate::io::records::Records;
@@ -164,7 +164,19 @@ pub(crate) fn json_error(name: &str, e: &serde_json::Error, expected: &str) -> E
     if let Some(at) = found.rfind(" at line") {
         found.truncate(at);
     }
-    Error::malformed(place.column(e.column().to_string()), format!("JSON with {found}"), expected)
+    Error::malformed(
+        place.column(e.column().to_string()),
+        format!("JSON with {}", brief(&found)),
+        expected,
+    )
+}
+
+/// A message that may hold a text of the file, of any length.
+fn brief(message: &str) -> String {
+    match message.char_indices().nth(160) {
+        Some((end, _)) => format!("{}…", visible(&message[..end])),
+        None => visible(message).into_owned(),
+    }
 }
 
 /// Read `scene_gt.json`: `{"image": [{"cam_R_m2c": [9], "cam_t_m2c": [3], "obj_id": 1}]}`.
@@ -287,7 +299,7 @@ pub fn read_models_info(
             let info: RawInfo = serde_json::from_value(value).map_err(|e| {
                 Error::malformed(
                     Place::file(&name).column(&key),
-                    format!("JSON with {e}"),
+                    format!("JSON with {}", brief(&e.to_string())),
                     expected,
                 )
             })?;
@@ -353,4 +365,24 @@ pub fn parse_scene_camera(bytes: &[u8], name: &str) -> Result<BTreeMap<u32, [f64
         out.insert(whole(key.as_bytes(), at)?, exactly::<9>(&camera.k, at)?);
     }
     Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_is_one_short_line_whatever_the_json_holds() {
+        let long = "x".repeat(10_000);
+        for json in [
+            r#"{"\n\u001b[2J": [{"cam_R_m2c": [], "cam_t_m2c": [], "obj_id": 1}]}"#.to_owned(),
+            format!(r#"{{"{long}": [{{"cam_R_m2c": [], "cam_t_m2c": [], "obj_id": 1}}]}}"#),
+            format!(r#"{{"1": "{long}"}}"#),
+        ] {
+            let input = Input::from_bytes("gt.json", json.into_bytes()).expect("in memory");
+            let error = read_scene_gt(input, Unit::Metre, None).expect_err("refused").to_string();
+            assert!(error.starts_with("gt.json:") && error.len() < 500, "{error}");
+            assert!(!error.contains(char::is_control), "{error:?}");
+        }
+    }
 }
