@@ -211,7 +211,7 @@ pub fn read_scene_gt(mut input: Input, unit: Unit, scene: Option<u32>) -> Result
             |k: usize, field: &str| Place::file(&table.name).column(format!("{key}[{k}].{field}"));
         let image = whole(key.as_bytes(), || at(0, "image id"))?;
         if !seen.insert(image) {
-            let place = Place::file(&table.name).column(&key);
+            let place = Place::file(&table.name).column(format!("image {key}"));
             return Err(Error::malformed(place, "a duplicate image id", "every image once"));
         }
         for (k, instance) in instances.into_iter().enumerate() {

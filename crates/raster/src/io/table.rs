@@ -303,6 +303,7 @@ impl Departures {
             let largest = q.iter().fold(0.0_f64, |m, c| m.max(c.abs()));
             let scaled = q.map(|c| c / largest);
             let norm = largest * scaled.iter().map(|c| c * c).sum::<f64>().sqrt();
+            let norm = norm.min(f64::MAX);
             self.unnormalised += 1;
             if self.norm_place.is_none() || (norm - 1.0).abs() > (self.worst_norm - 1.0).abs() {
                 self.worst_norm = norm;
@@ -379,6 +380,7 @@ mod tests {
     fn the_norm_of_a_huge_quaternion_is_reported_as_it_is() {
         for (q, shown) in [
             ([1e300, 0.0, 0.0, 1e300], "norm 1.414e300 here (1 of them"),
+            ([f64::MAX, 0.0, 0.0, f64::MAX], "norm 1.798e308 here (1 of them"),
             ([3e-10, 0.0, 4e-10, 0.0], "norm 5.000e-10 here (1 of them"),
             ([0.0, 2.0, 0.0, 0.0], "norm 2.000000 here (1 of them"),
         ] {
