@@ -129,8 +129,9 @@ fn ranges(values: &[Option<f64>], step: Option<f64>) -> Vec<f64> {
         let raw = match high / 6.0 - low / 6.0 {
             0.0 if largest == 0.0 => 1.0,
             0.0 => largest * 1e-2,
-            spread => spread.max(largest.max(1e-300) * 1e-9),
+            spread => spread.max(largest * 1e-9),
         };
+        let raw = raw.max(1e-300);
         let power = 10_f64.powf(raw.log10().floor());
         let nice = [1.0, 2.0, 5.0, 10.0].into_iter().find(|&k| k * power >= raw * 0.999);
         nice.unwrap_or(10.0) * power

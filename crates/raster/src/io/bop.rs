@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
-use serde::de::{Deserializer, MapAccess, Visitor};
+use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
 
 use crate::error::{Error, Place, Result, quoted, visible};
 use crate::io::input::{Input, InputFile};
@@ -121,12 +121,40 @@ fn numbers<const N: usize>(field: &[u8], place: impl Fn() -> Place) -> Result<[f
     Ok(out)
 }
 
+/// An array of numbers, at most a hundred: a packed file can hold billions.
+pub(crate) struct Numbers(pub(crate) Vec<f64>);
+
+impl<'de> Deserialize<'de> for Numbers {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Few;
+        impl<'de> Visitor<'de> for Few {
+            type Value = Numbers;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("an array of numbers")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Numbers, A::Error> {
+                let mut numbers = Vec::new();
+                while let Some(number) = seq.next_element()? {
+                    if numbers.len() == 100 {
+                        return Err(serde::de::Error::custom("an array of more than 100 numbers"));
+                    }
+                    numbers.push(number);
+                }
+                Ok(Numbers(numbers))
+            }
+        }
+        deserializer.deserialize_seq(Few)
+    }
+}
+
 #[derive(Deserialize)]
 struct GtInstance {
     #[serde(rename = "cam_R_m2c")]
-    r: Vec<f64>,
+    r: Numbers,
     #[serde(rename = "cam_t_m2c")]
-    t: Vec<f64>,
+    t: Numbers,
     obj_id: u32,
     #[serde(default)]
     score: Option<f64>,
@@ -216,10 +244,10 @@ pub fn read_scene_gt(mut input: Input, unit: Unit, scene: Option<u32>) -> Result
         }
         for (k, instance) in instances.into_iter().enumerate() {
             row_limit(table.poses.len(), &table.name)?;
-            let r = exactly::<9>(&instance.r, || at(k, "cam_R_m2c"))?;
+            let r = exactly::<9>(&instance.r.0, || at(k, "cam_R_m2c"))?;
             let rows = [[r[0], r[1], r[2]], [r[3], r[4], r[5]], [r[6], r[7], r[8]]];
             let rotation = departures.matrix(rows, || at(k, "cam_R_m2c"))?;
-            let t = exactly::<3>(&instance.t, || at(k, "cam_t_m2c"))?;
+            let t = exactly::<3>(&instance.t.0, || at(k, "cam_t_m2c"))?;
             let t = translation(t, unit, || at(k, "cam_t_m2c"))?;
             table.poses.push(Pose::new(rotation, t));
             targets.push(Target { scene, image, object: instance.obj_id });
@@ -378,6 +406,7 @@ mod tests {
             r#"{"\n\u001b[2J": [{"cam_R_m2c": [], "cam_t_m2c": [], "obj_id": 1}]}"#.to_owned(),
             format!(r#"{{"{long}": [{{"cam_R_m2c": [], "cam_t_m2c": [], "obj_id": 1}}]}}"#),
             format!(r#"{{"1": "{long}"}}"#),
+            format!(r#"{{"1": [{{"cam_R_m2c": [{}0"#, "0,".repeat(100)),
         ] {
             let input = Input::from_bytes("gt.json", json.into_bytes()).expect("in memory");
             let error = read_scene_gt(input, Unit::Metre, None).expect_err("refused").to_string();

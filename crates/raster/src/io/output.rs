@@ -69,7 +69,12 @@ impl Outputs {
             // As for any new file: the process's umask is applied to this.
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
-        let file = builder.tempfile_in(folder).map_err(fail)?;
+        let file = builder.tempfile_in(folder).map_err(|e| {
+            // Without the name of the file beside the target, which nobody asked for.
+            let text = e.to_string();
+            let text = text.split(" at path ").next().unwrap_or_default();
+            fail(io::Error::new(e.kind(), text))
+        })?;
         let (file, path) = file.into_parts();
         UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner).push(path.to_path_buf());
         let mut writer = BufWriter::with_capacity(1 << 18, file);
@@ -162,6 +167,14 @@ mod tests {
             assert_eq!(std::fs::read_to_string(at(file)).expect("there"), "x");
         }
         assert!(["a", "b", "c", "b2"].into_iter().all(|l| at(l).is_symlink()));
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_named_as_the_user_did() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let target = folder.path().join("none").join("a");
+        let error = Outputs::default().write(&target, |_| Ok(())).expect_err("refused").to_string();
+        assert!(error.ends_with("a: No such file or directory (os error 2)"), "{error}");
     }
 
     #[test]

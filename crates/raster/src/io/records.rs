@@ -15,6 +15,8 @@ const MAX_LINE: usize = 64 << 20;
 /// A quoted field may run over line ends, but a record stays below this.
 const MAX_QUOTED: usize = 1 << 20;
 
+/// More blank lines in a row are no table, but gigabytes in a small packed file.
+const MAX_BLANK: u64 = 10_000_000;
 /// More fields than any table has; a line of commas would take sixteen times its size.
 const MAX_FIELDS: usize = 10_000;
 
@@ -176,10 +178,18 @@ impl Records {
     /// [`Error::Read`]; [`Error::Malformed`] for an unclosed or misplaced quote, a line of more
     /// than 64 MiB or 10,000 fields.
     pub fn next_record(&mut self) -> Result<Option<Record<'_>>> {
+        let last = self.line;
         let (from, to) = loop {
             let Some(bounds) = self.next_line()? else { return Ok(None) };
             if !self.buffer[bounds.0..bounds.1].trim_ascii().is_empty() {
                 break bounds;
+            }
+            if self.line - last > MAX_BLANK {
+                return Err(Error::malformed(
+                    Place::line(self.name(), last + 1),
+                    format!("more than {MAX_BLANK} blank lines"),
+                    "rows of numbers",
+                ));
             }
         };
         let line = self.line;
@@ -357,6 +367,13 @@ mod tests {
         line.extend_from_slice(b",2\n3\n");
         let rows = read(&line).expect("long but sound");
         assert_eq!((rows.len(), rows[0].1.len()), (2, 2));
+    }
+
+    #[test]
+    fn endless_blank_lines_are_refused() {
+        let text = [&b"a\n"[..], &vec![b'\n'; MAX_BLANK as usize], &b"\nb\n"[..]].concat();
+        let error = read(&text).expect_err("too many").to_string();
+        assert!(error.starts_with("x.csv:2: found more than 10000000 blank lines"), "{error}");
     }
 
     #[test]
