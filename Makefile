@@ -63,7 +63,9 @@ bench: develop  ## Benchmarks in Rust, and against NumPy and SciPy
 fuzz:  ## Every parser for a minute (needs the nightly toolchain and cargo-fuzz)
 	command -v cargo-fuzz >/dev/null || cargo install cargo-fuzz
 	cd crates/raster && for target in $$(cargo fuzz list); do \
-	    echo "== $$target"; cargo +nightly fuzz run $$target -- -max_total_time=$${SECONDS_EACH:-60} -rss_limit_mb=2048 || exit 1; done
+	    echo "== $$target"; mkdir -p fuzz/found/$$target; \
+	    cargo +nightly fuzz run $$target fuzz/found/$$target fuzz/corpus/$$target -- \
+	        -max_total_time=$${SECONDS_EACH:-60} -timeout=10 -rss_limit_mb=2048 || exit 1; done
 
 examples: $(BIN)/python  ## Generate the example data again
 	$(PIP) numpy

@@ -259,7 +259,7 @@ fn header(records: &mut Records, options: CsvOptions<'_>) -> Result<(Columns, Ve
     let require = |wanted: &str| {
         find(wanted).ok_or_else(|| {
             let hint = closest(wanted, &names, &known)
-                .map_or(String::new(), |name| format!(" (is '{name}' meant?)"));
+                .map_or(String::new(), |name| format!(" (is {} meant?)", quoted(name.as_bytes())));
             Error::malformed(
                 Place::line(&file, line).column(wanted),
                 format!("a header without it: {}", list(&names)),
@@ -360,4 +360,18 @@ fn no_header(file: &str, line: u64, fields: &[&[u8]], names: &[String]) -> Error
         format!("{found} instead of a header: {}", quoted(&joined)),
         format!("a header line with the columns id,qw,qx,qy,qz,tx,ty,tz in any order{why}"),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_cannot_steer_the_terminal() {
+        let text = b"id,qw,qx,q\x1by,qz,tx,ty,tz\n1,1,0,0,0,0,0,1\n".to_vec();
+        let input = Input::from_bytes("a.csv", text).expect("in memory");
+        let options = CsvOptions { unit: Unit::Metre, keep: &[] };
+        let error = read_pose_csv(input, options).expect_err("refused").to_string();
+        assert!(error.ends_with("a column 'qy' (is 'q\\u{1b}y' meant?)"), "{error}");
+    }
 }

@@ -15,6 +15,11 @@ const MAX_LINE: usize = 64 << 20;
 /// A quoted field may run over line ends, but a record stays below this.
 const MAX_QUOTED: usize = 1 << 20;
 
+/// More blank lines in a row are no table, but gigabytes in a small packed file.
+const MAX_BLANK: u64 = 10_000_000;
+/// More fields than any table has; a line of commas would take sixteen times its size.
+const MAX_FIELDS: usize = 10_000;
+
 /// Reads records; the fields of the latest one are borrowed from it.
 #[derive(Debug)]
 pub struct Records {
@@ -171,21 +176,38 @@ impl Records {
     ///
     /// # Errors
     /// [`Error::Read`]; [`Error::Malformed`] for an unclosed or misplaced quote, a line of more
-    /// than 64 MiB.
+    /// than 64 MiB or 10,000 fields.
     pub fn next_record(&mut self) -> Result<Option<Record<'_>>> {
+        let last = self.line;
         let (from, to) = loop {
             let Some(bounds) = self.next_line()? else { return Ok(None) };
             if !self.buffer[bounds.0..bounds.1].trim_ascii().is_empty() {
                 break bounds;
             }
+            if self.line - last > MAX_BLANK {
+                return Err(Error::malformed(
+                    Place::line(self.name(), last + 1),
+                    format!("more than {MAX_BLANK} blank lines"),
+                    "rows of numbers",
+                ));
+            }
         };
         let line = self.line;
-        if memchr::memchr(b'"', &self.buffer[from..to]).is_none() {
-            return Ok(Some(Record { line, text: &self.buffer[from..to] }));
+        let quotes = memchr::memchr(b'"', &self.buffer[from..to]).is_some();
+        if quotes {
+            self.join_quoted(from, to)?;
+            self.take_off_quotes(line)?;
         }
-        self.join_quoted(from, to)?;
-        self.take_off_quotes(line)?;
-        Ok(Some(Record { line, text: &self.unquoted }))
+        let text = if quotes { &self.unquoted } else { &self.buffer[from..to] };
+        if text.len() >= MAX_FIELDS && memchr::memchr_iter(b',', text).nth(MAX_FIELDS - 1).is_some()
+        {
+            return Err(Error::malformed(
+                Place::line(self.name(), line),
+                format!("more than {MAX_FIELDS} fields"),
+                "a table of poses",
+            ));
+        }
+        Ok(Some(Record { line, text }))
     }
 
     /// Gather lines until the quotes are balanced.
@@ -345,6 +367,25 @@ mod tests {
         line.extend_from_slice(b",2\n3\n");
         let rows = read(&line).expect("long but sound");
         assert_eq!((rows.len(), rows[0].1.len()), (2, 2));
+    }
+
+    #[test]
+    fn endless_blank_lines_are_refused() {
+        let text = [&b"a\n"[..], &vec![b'\n'; MAX_BLANK as usize], &b"\nb\n"[..]].concat();
+        let error = read(&text).expect_err("too many").to_string();
+        assert!(error.starts_with("x.csv:2: found more than 10000000 blank lines"), "{error}");
+    }
+
+    #[test]
+    fn a_line_of_commas_is_refused() {
+        let commas = |n: usize| [&b"a,b\n"[..], &vec![b','; n], &b"\n"[..]].concat();
+        assert_eq!(read(&commas(MAX_FIELDS - 1)).expect("wide")[1].1.len(), MAX_FIELDS);
+        let error = read(&commas(MAX_FIELDS)).expect_err("too wide").to_string();
+        assert_eq!(error, "x.csv:2: found more than 10000 fields, expected a table of poses");
+        let quoted = [&b"\"a\""[..], &vec![b','; MAX_FIELDS]].concat();
+        assert!(read(&quoted).is_err());
+        let inside = [&b"\""[..], &vec![b','; MAX_FIELDS], &b"\",b"[..]].concat();
+        assert_eq!(read(&inside).expect("two fields")[0].1.len(), 2);
     }
 
     proptest! {
