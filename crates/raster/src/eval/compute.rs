@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 use crate::eval::matching::bop_groups;
-use crate::eval::objects::{Cameras, Object, Objects};
+use crate::eval::objects::{Cameras, MeshModel, Object, Objects};
 use crate::eval::request::{ADDS_LIMIT, Choice, Progress, Request};
-use crate::eval::{Bop, Samples, viewing_angles};
+use crate::eval::{Bop, Samples, Up, viewing_angles};
 use crate::io::table::PoseTable;
 use crate::metrics;
 use crate::pose::Pose;
@@ -35,6 +35,17 @@ impl<'a> Scene<'a> {
         self.objects.get(of(self.gt, g).or_else(|| of(self.predictions, p)))
     }
 
+    /// No table says which object or image a row is about.
+    fn is_plain(&self) -> bool {
+        self.gt.targets.is_none() && self.predictions.targets.is_none()
+    }
+
+    /// The mesh of two pairs, if it is the same.
+    fn common_mesh(&self, p: (u32, u32), q: (u32, u32)) -> Option<&'a MeshModel> {
+        let mesh = self.object(p).mesh.as_deref()?;
+        self.object(q).mesh.as_deref().filter(|&other| std::ptr::eq(mesh, other))
+    }
+
     fn camera(&self, (g, p): (u32, u32)) -> Option<&'a crate::camera::Intrinsics> {
         let of = |table: &PoseTable, row: u32| Some(table.targets.as_ref()?[row as usize].image);
         self.cameras.get(of(self.gt, g).or_else(|| of(self.predictions, p)))
@@ -51,26 +62,11 @@ pub(crate) fn samples(
 ) -> (Samples, Vec<String>) {
     let mut notes = Vec::new();
     let n = pairs.len();
-    let mut s = Samples {
-        gt_row: pairs.iter().map(|p| p.0).collect(),
-        pred_row: pairs.iter().map(|p| p.1).collect(),
-        te_m: column(pairs, |pair| {
-            let (est, gt) = scene.poses(pair);
-            est.translation.distance(gt.translation)
-        }),
-        oe_rad: column(pairs, |pair| {
-            let (est, gt) = scene.poses(pair);
-            rotation::angle(est.rotation, gt.rotation)
-        }),
-        distance_m: column(pairs, |pair| scene.poses(pair).1.translation.length()),
-        ..Samples::default()
-    };
-    s.npe = s.te_m.iter().zip(&s.distance_m).map(|(te, d)| te / d).collect();
-    let angles: Vec<(f64, f64)> =
-        pairs.par_iter().map(|&pair| viewing_angles(scene.poses(pair).1, request.up)).collect();
-    (s.azimuth_deg, s.elevation_deg) = angles.into_iter().unzip();
+    let mut s = pose_errors(scene, pairs, request.up);
+    // One for each object and image: all tell the same without BOP's keys.
+    let kinds = if scene.is_plain() { &pairs[..n.min(1)] } else { pairs };
 
-    let symmetric = pairs.iter().any(|&pair| scene.object(pair).symmetries.transforms().len() > 1);
+    let symmetric = kinds.iter().any(|&pair| scene.object(pair).symmetries.transforms().len() > 1);
     if symmetric {
         s.oe_sym_rad = Some(column(pairs, |pair| {
             let (est, gt) = scene.poses(pair);
@@ -78,21 +74,26 @@ pub(crate) fn samples(
             metrics::rotation_angle(est, gt, symmetries)
         }));
     }
-    let meshes = n > 0 && pairs.iter().all(|&pair| scene.object(pair).mesh.is_some());
+    let meshes = n > 0 && kinds.iter().all(|&pair| scene.object(pair).mesh.is_some());
     if !meshes {
         return (s, notes);
     }
     let wants = |metric: &str| request.choice.wants(metric);
-    let staged = |name: &str, f: &(dyn Fn((u32, u32)) -> f64 + Sync)| {
+    let in_chunks = |name: &str, f: &(dyn Fn(&mut [f64], &[(u32, u32)]) + Sync)| {
         progress.begin(name, n as u64);
         let mut out = vec![0.0; n];
         out.par_chunks_mut(CHUNK).zip(pairs.par_chunks(CHUNK)).for_each(|(out, pairs)| {
-            for (slot, &pair) in out.iter_mut().zip(pairs) {
-                *slot = f(pair);
-            }
+            f(out, pairs);
             progress.advance(pairs.len() as u64);
         });
         out
+    };
+    let staged = |name: &str, f: &(dyn Fn((u32, u32)) -> f64 + Sync)| {
+        in_chunks(name, &|out, pairs| {
+            for (slot, &pair) in out.iter_mut().zip(pairs) {
+                *slot = f(pair);
+            }
+        })
     };
     // Checked above: every sample has a mesh, so NaN never shows.
     let with_mesh = |pair, f: &dyn Fn(&metrics::VertexSet, &Pose, &Pose) -> f64| {
@@ -100,7 +101,20 @@ pub(crate) fn samples(
         scene.object(pair).mesh.as_ref().map_or(f64::NAN, |m| f(&m.set, est, gt))
     };
     if wants("add") {
-        s.add_m = Some(staged("ADD", &|pair| with_mesh(pair, &metrics::add)));
+        s.add_m = Some(in_chunks("ADD", &|out, pairs| {
+            for (out, pairs) in out.chunks_mut(2).zip(pairs.chunks(2)) {
+                if let (&[p, q], [a, b]) = (pairs, &mut *out)
+                    && let Some(mesh) = scene.common_mesh(p, q)
+                {
+                    let poses = [scene.poses(p), scene.poses(q)];
+                    [*a, *b] = metrics::add::add_two(&mesh.set, poses);
+                    continue;
+                }
+                for (slot, &pair) in out.iter_mut().zip(pairs) {
+                    *slot = with_mesh(pair, &metrics::add);
+                }
+            }
+        }));
     }
     let queries = |pair| scene.object(pair).mesh.as_ref().map_or(0, |m| m.set.distinct().len());
     if wants("adds") {
@@ -118,7 +132,7 @@ pub(crate) fn samples(
             with_mesh(pair, &|set, est, gt| metrics::mssd(set, est, gt, symmetries))
         }));
     }
-    let cameras = pairs.iter().all(|&pair| scene.camera(pair).is_some());
+    let cameras = kinds.iter().all(|&pair| scene.camera(pair).is_some());
     if cameras && (wants("mspd") || wants("proj")) {
         progress.begin("projection errors", n as u64);
         let mut both = vec![metrics::ProjectionErrors { mspd: 0.0, proj: 0.0 }; n];
@@ -151,6 +165,40 @@ fn column(pairs: &[(u32, u32)], f: impl Fn((u32, u32)) -> f64 + Sync) -> Vec<f64
     pairs.par_iter().with_min_len(CHUNK).map(|&pair| f(pair)).collect()
 }
 
+/// The columns that need no mesh.
+fn pose_errors(scene: Scene<'_>, pairs: &[(u32, u32)], up: Up) -> Samples {
+    let zeros = || vec![0.0; pairs.len()];
+    let mut s = Samples {
+        gt_row: pairs.iter().map(|p| p.0).collect(),
+        pred_row: pairs.iter().map(|p| p.1).collect(),
+        te_m: zeros(),
+        npe: zeros(),
+        oe_rad: zeros(),
+        distance_m: zeros(),
+        azimuth_deg: zeros(),
+        elevation_deg: zeros(),
+        ..Samples::default()
+    };
+    let errors = (s.te_m.par_chunks_mut(CHUNK), s.npe.par_chunks_mut(CHUNK));
+    let errors = (errors.0, errors.1, s.oe_rad.par_chunks_mut(CHUNK)).into_par_iter();
+    let (azimuth, elevation) = (&mut s.azimuth_deg, &mut s.elevation_deg);
+    let views = (s.distance_m.par_chunks_mut(CHUNK), azimuth.par_chunks_mut(CHUNK));
+    let views = (views.0, views.1, elevation.par_chunks_mut(CHUNK)).into_par_iter();
+    errors.zip(views).zip(pairs.par_chunks(CHUNK)).for_each(
+        |(((te, npe, oe), (distance, azimuth, elevation)), pairs)| {
+            for (i, &pair) in pairs.iter().enumerate() {
+                let (est, gt) = scene.poses(pair);
+                te[i] = est.translation.distance(gt.translation);
+                oe[i] = rotation::angle(est.rotation, gt.rotation);
+                distance[i] = gt.translation.length();
+                npe[i] = te[i] / distance[i];
+                (azimuth[i], elevation[i]) = viewing_angles(gt, up);
+            }
+        },
+    );
+    s
+}
+
 /// Errors of one estimate against the instances it may match, infinite where BOP says so.
 struct Candidates {
     /// For each estimate by descending score: error to each instance.
@@ -159,13 +207,13 @@ struct Candidates {
 
 impl Candidates {
     /// Instances found below a threshold: estimates by score, each takes its nearest free one.
-    fn found(&self, threshold: impl Fn(usize) -> f64) -> usize {
+    fn found(&self, threshold: f64) -> usize {
         let instances = self.errors.first().map_or(0, Vec::len);
         let mut free = vec![true; instances];
         let mut found = 0;
         for errors in &self.errors {
             let nearest = (0..instances)
-                .filter(|&g| free[g] && errors[g] < threshold(g))
+                .filter(|&g| free[g] && errors[g] < threshold)
                 .min_by(|&a, &b| errors[a].total_cmp(&errors[b]));
             if let Some(g) = nearest {
                 free[g] = false;
@@ -173,6 +221,29 @@ impl Candidates {
             }
         }
         found
+    }
+}
+
+/// What estimates are matched from.
+enum Matched {
+    /// One estimate for one instance: its error.
+    Single(Vec<f64>),
+    /// Groups of several.
+    Groups(Vec<Candidates>),
+}
+
+impl Matched {
+    /// Instances found below the threshold of their pair or group.
+    fn found(&self, threshold: impl Fn(usize) -> f64 + Sync) -> usize {
+        match self {
+            Self::Single(errors) => {
+                let below = |(i, e): &(usize, &f64)| **e < threshold(*i);
+                errors.par_iter().enumerate().with_min_len(CHUNK).filter(below).count()
+            }
+            Self::Groups(groups) => {
+                groups.iter().enumerate().map(|(i, group)| group.found(threshold(i))).sum()
+            }
+        }
     }
 }
 
@@ -197,26 +268,19 @@ pub(crate) fn bop(
             .bop_diameter()
             .is_none_or(|d| est.translation.distance(gt.translation) >= d)
     };
-    let candidates = |error: &(dyn Fn((u32, u32)) -> f64 + Sync),
-                      known: &[f64]|
-     -> Vec<Candidates> {
-        match &groups {
-            None => pairs
-                .par_iter()
-                .zip(known)
-                .map(|(&pair, &e)| Candidates {
-                    errors: vec![vec![if far(pair) { f64::INFINITY } else { e }]],
-                })
-                .collect(),
-            Some(groups) => groups
-                .par_iter()
-                .map(|(instances, estimates)| {
-                    let of =
-                        |p: u32, g: u32| if far((g, p)) { f64::INFINITY } else { error((g, p)) };
-                    let row = |&p: &u32| instances.iter().map(|&g| of(p, g)).collect();
-                    Candidates { errors: estimates.iter().map(row).collect() }
-                })
-                .collect(),
+    let candidates = |error: &(dyn Fn((u32, u32)) -> f64 + Sync), known: &[f64]| match &groups {
+        None => {
+            let known = pairs.par_iter().zip(known).with_min_len(CHUNK);
+            let error = |(&pair, &e): (_, &f64)| if far(pair) { f64::INFINITY } else { e };
+            Matched::Single(known.map(error).collect())
+        }
+        Some(groups) => {
+            let group = |(instances, estimates): &(Vec<u32>, Vec<u32>)| {
+                let of = |p: u32, g: u32| if far((g, p)) { f64::INFINITY } else { error((g, p)) };
+                let row = |&p: &u32| instances.iter().map(|&g| of(p, g)).collect();
+                Candidates { errors: estimates.iter().map(row).collect() }
+            };
+            Matched::Groups(groups.par_iter().map(group).collect())
         }
     };
     let average = |found: &dyn Fn(usize) -> usize| {
@@ -250,7 +314,7 @@ pub(crate) fn bop(
     let ar_mssd = average(&|k| {
         // The thresholds of numpy.arange(0.05, 0.51, 0.05).
         let fraction = 0.05 + (k - 1) as f64 * 0.05;
-        by_mssd.iter().zip(&diameters).map(|(c, d)| c.found(|_| fraction * d)).sum()
+        by_mssd.found(|i| fraction * diameters[i])
     });
     let ar_mspd = s.mspd_px.as_ref().and_then(|mspd| {
         let Some(width) = scene.cameras.width() else {
@@ -272,7 +336,7 @@ pub(crate) fn bop(
             mspd,
         );
         let scale = 640.0 / f64::from(width);
-        Some(average(&|k| by_mspd.iter().map(|c| c.found(|_| 5.0 * k as f64 / scale)).sum()))
+        Some(average(&|k| by_mspd.found(|_| 5.0 * k as f64 / scale)))
     });
     (Some(Bop { ar_mssd: Some(ar_mssd), ar_mspd }), notes)
 }

@@ -13,16 +13,34 @@ pub const SPEEDPLUS_ORIENTATION_DEG: f64 = 0.169;
 /// Upper end of the ADD curve in metres (YCB-Video).
 pub const AUC_LIMIT_M: f64 = 0.1;
 
+/// Sum with Neumaier's compensation.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    sum: f64,
+    lost: f64,
+}
+
+impl Sum {
+    fn add(&mut self, x: f64) {
+        let next = self.sum + x;
+        // Knuth's form of the rounding error: the same bits as Neumaier's, without his comparison
+        // (and its mispredictions).
+        let back = next - self.sum;
+        self.lost += (self.sum - (next - back)) + (x - back);
+        self.sum = next;
+    }
+
+    fn value(self) -> f64 {
+        self.sum + self.lost
+    }
+}
+
 /// Sum with Neumaier's compensation, in the order of the slice.
 #[must_use]
 pub fn sum(values: impl IntoIterator<Item = f64>) -> f64 {
-    let (mut sum, mut lost) = (0.0_f64, 0.0_f64);
-    for x in values {
-        let next = sum + x;
-        lost += if sum.abs() >= x.abs() { (sum - next) + x } else { (x - next) + sum };
-        sum = next;
-    }
-    sum + lost
+    let mut sum = Sum::default();
+    values.into_iter().for_each(|x| sum.add(x));
+    sum.value()
 }
 
 /// Mean, `None` of nothing.
@@ -35,13 +53,21 @@ pub fn mean(values: &[f64]) -> Option<f64> {
 #[must_use]
 pub fn summarize(values: &[f64]) -> Option<Summary> {
     let mut finite: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
+    if finite.is_empty() {
+        return None;
+    }
     let n = finite.len() as f64;
-    let mean = mean(&finite)?;
+    // Two sums in one pass: each waits for itself, not for the other.
+    let (mut plain, mut square) = (Sum::default(), Sum::default());
+    let (mut min, mut max) = (f64::INFINITY, f64::NEG_INFINITY);
+    for &x in &finite {
+        plain.add(x);
+        square.add(x * x);
+        min = if x < min { x } else { min };
+        max = if x > max { x } else { max };
+    }
+    let (mean, square) = (plain.value() / n, square.value() / n);
     let variance = sum(finite.iter().map(|x| (x - mean) * (x - mean))) / n;
-    let square = sum(finite.iter().map(|x| x * x)) / n;
-    let (min, max) = finite.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), &x| {
-        (if x < lo { x } else { lo }, if x > hi { x } else { hi })
-    });
     let [median, p90, p95] = quantiles(&mut finite, [0.5, 0.9, 0.95]);
     Some(Summary {
         mean,

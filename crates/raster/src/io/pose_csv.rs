@@ -3,9 +3,11 @@
 //!
 //! Columns are found by name, so the order of a quaternion cannot be mistaken.
 
+use rayon::prelude::*;
+
 use crate::error::{Error, Place, Result, quoted};
 use crate::io::input::Input;
-use crate::io::records::{Records, text};
+use crate::io::records::{Records, plain_records, text};
 use crate::io::table::{
     Departures, ExtraColumn, PoseTable, Strings, Unit, not_a_rotation, row_limit, translation,
 };
@@ -16,6 +18,9 @@ const QUAT: [&str; 4] = ["qw", "qx", "qy", "qz"];
 const MATRIX: [&str; 9] = ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"];
 const AXIS_ANGLE: [&str; 3] = ["rx", "ry", "rz"];
 const TRANSLATION: [&str; 3] = ["tx", "ty", "tz"];
+
+/// Bytes that a thread parses at a time.
+const PIECE: usize = 1 << 18;
 
 /// What the reader should do with a file.
 #[derive(Debug, Clone, Copy)]
@@ -49,6 +54,7 @@ pub fn read_pose_csv(input: Input, options: CsvOptions<'_>) -> Result<PoseTable>
     let name = records.name().to_owned();
     let (columns, mut warnings) = header(&mut records, options)?;
     let mut table = Rows::new(&name, &columns, options);
+    read_plain(&mut records, &mut table, options);
     // The fields borrow from the record, so this allocation serves one line; it is taken back by
     // `recycle` for the next.
     let mut fields: Vec<&[u8]> = Vec::new();
@@ -84,6 +90,67 @@ pub fn read_pose_csv(input: Input, options: CsvOptions<'_>) -> Result<PoseTable>
         extra,
         warnings,
     })
+}
+
+/// Read plain lines, blocks of them in parallel while the next ones are being read from the file,
+/// up to the first that is not plain or not sound. That one and all behind it are left to the slow
+/// way, which also words the error; so the first error of the file is the one reported.
+fn read_plain(records: &mut Records, table: &mut Rows<'_>, options: CsvOptions<'_>) {
+    // Only on a pool: rayon's global one is not for us (see `threads`).
+    let threads = rayon::current_thread_index().map_or(1, |_| rayon::current_num_threads());
+    let size = PIECE * if threads == 1 { 1 } else { 2 * threads.min(32) };
+    let (mut block, mut next) = (Vec::new(), Vec::new());
+    let mut more = records.take_lines(size, &mut block);
+    while more {
+        let pieces = cut(&block);
+        let parse = |lines: &&[u8]| {
+            let mut rows = Rows::new(table.name, table.columns, options);
+            let mut fields = Vec::with_capacity(table.columns.names.len());
+            let count = plain_records(lines, |record| {
+                record.split_into(&mut fields);
+                rows.push(record.line, &fields).ok()
+            })?;
+            Some((rows, count))
+        };
+        let mut ahead = || records.take_lines(size, &mut next);
+        let (parsed, taken): (Vec<_>, bool) = if threads == 1 {
+            (pieces.iter().map(parse).collect(), ahead())
+        } else {
+            rayon::join(|| pieces.par_iter().map(parse).collect(), ahead)
+        };
+        let mut done = 0;
+        for (piece, parsed) in pieces.iter().zip(parsed) {
+            let fits = |more: &Rows<'_>| {
+                row_limit(table.poses.len() + more.poses.len(), table.name).is_ok()
+            };
+            let Some((rows, count)) = parsed.filter(|(rows, _)| fits(rows)) else {
+                if taken {
+                    records.unread(&next);
+                }
+                records.unread(&block[done..]);
+                return;
+            };
+            table.append(rows, records.line());
+            records.used(count);
+            done += piece.len();
+        }
+        std::mem::swap(&mut block, &mut next);
+        more = taken;
+    }
+}
+
+/// Whole lines, cut behind line ends into pieces of about [`PIECE`] bytes.
+fn cut(mut lines: &[u8]) -> Vec<&[u8]> {
+    let mut pieces = Vec::with_capacity(lines.len() / PIECE + 1);
+    while let Some(end) = lines.get(PIECE..).and_then(|rest| memchr::memchr(b'\n', rest)) {
+        let (piece, rest) = lines.split_at(PIECE + end + 1);
+        pieces.push(piece);
+        lines = rest;
+    }
+    if !lines.is_empty() {
+        pieces.push(lines);
+    }
+    pieces
 }
 
 /// An empty vector of another lifetime with the same allocation.
@@ -130,6 +197,18 @@ impl<'a> Rows<'a> {
             extra: extra.collect(),
             departures: Departures::default(),
         }
+    }
+
+    /// Add the rows that follow, whose lines were counted from `lines_before`.
+    fn append(&mut self, more: Self, lines_before: u64) {
+        self.ids.append(&more.ids);
+        self.poses.extend(more.poses);
+        let line = |l: u32| u32::try_from(u64::from(l) + lines_before).unwrap_or(u32::MAX);
+        self.lines.extend(more.lines.into_iter().map(line));
+        for (column, more) in self.extra.iter_mut().zip(&more.extra) {
+            column.values.append(&more.values);
+        }
+        self.departures.append(more.departures, lines_before);
     }
 
     fn push(&mut self, line: u64, fields: &[&[u8]]) -> Result<()> {
@@ -184,7 +263,7 @@ fn not_utf8(place: Place, field: &[u8]) -> Error {
 
 /// A finite decimal number.
 pub(crate) fn number(field: &[u8], place: impl Fn() -> Place) -> Result<f64> {
-    let parsed = std::str::from_utf8(field).ok().and_then(|t| t.parse::<f64>().ok());
+    let parsed = fast_float2::parse::<f64, _>(field).ok();
     match parsed {
         Some(x) if x.is_finite() => Ok(x),
         _ => {
@@ -363,15 +442,4 @@ fn no_header(file: &str, line: u64, fields: &[&[u8]], names: &[String]) -> Error
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_header_cannot_steer_the_terminal() {
-        let text = b"id,qw,qx,q\x1by,qz,tx,ty,tz\n1,1,0,0,0,0,0,1\n".to_vec();
-        let input = Input::from_bytes("a.csv", text).expect("in memory");
-        let options = CsvOptions { unit: Unit::Metre, keep: &[] };
-        let error = read_pose_csv(input, options).expect_err("refused").to_string();
-        assert!(error.ends_with("a column 'qy' (is 'q\\u{1b}y' meant?)"), "{error}");
-    }
-}
+mod tests;

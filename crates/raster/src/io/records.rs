@@ -32,6 +32,8 @@ pub struct Records {
     line: u64,
     unquoted: Vec<u8>,
     joined: Vec<u8>,
+    /// Met while reading ahead; reported when the lines before it are used up.
+    failed: Option<Error>,
 }
 
 /// One record: its fields and where it begins.
@@ -53,6 +55,28 @@ impl<'a> Record<'a> {
         }
         fields.push(self.text[from..].trim_ascii());
     }
+}
+
+/// Calls `each` with every record of whole lines that need no state to be read: without a quote,
+/// ended by LF or CR LF. Lines are counted from 1. Returns how many there are, blank ones too;
+/// `None` for other lines, or as soon as `each` says so.
+pub(crate) fn plain_records<'a>(
+    lines: &'a [u8],
+    mut each: impl FnMut(Record<'a>) -> Option<()>,
+) -> Option<u64> {
+    let lone = |k: usize| lines[k] == b'"' || lines.get(k + 1) != Some(&b'\n');
+    if memchr::memchr2_iter(b'"', b'\r', lines).any(lone) {
+        return None;
+    }
+    let (mut line, mut from) = (0, 0);
+    for end in memchr::memchr_iter(b'\n', lines) {
+        let text = &lines[from..end];
+        (from, line) = (end + 1, line + 1);
+        if !text.trim_ascii_start().is_empty() {
+            each(Record { line, text: text.strip_suffix(b"\r").unwrap_or(text) })?;
+        }
+    }
+    (from == lines.len()).then_some(line)
 }
 
 /// Separator that stands for a comma inside quotes while a quoted record is taken apart; it
@@ -88,6 +112,7 @@ impl Records {
             line: 0,
             unquoted: Vec::new(),
             joined: Vec::new(),
+            failed: None,
         };
         records.fill()?;
         if records.buffer[..records.end].starts_with(b"\xef\xbb\xbf") {
@@ -102,6 +127,11 @@ impl Records {
         &self.input.name
     }
 
+    /// The line of the latest record.
+    pub(crate) fn line(&self) -> u64 {
+        self.line
+    }
+
     /// The input behind, after the last record.
     #[must_use]
     pub fn into_input(self) -> Input {
@@ -110,6 +140,9 @@ impl Records {
 
     /// Read more behind what is there, making room first. False at the end of the input.
     fn fill(&mut self) -> Result<bool> {
+        if let Some(error) = self.failed.take() {
+            return Err(error);
+        }
         if self.at_eof {
             return Ok(false);
         }
@@ -170,6 +203,46 @@ impl Records {
                 return Ok(Some(bounds));
             }
         }
+    }
+
+    /// Move about `size` bytes of whole lines, ended by LF, to `lines`. False if there are none:
+    /// the rest is for [`Records::next_record`], errors of reading too.
+    ///
+    /// The caller says by [`Records::used`] how many lines it has read, and gives back by
+    /// [`Records::unread`] what it could not.
+    pub(crate) fn take_lines(&mut self, size: usize, lines: &mut Vec<u8>) -> bool {
+        lines.clear();
+        while self.end - self.start < size && self.failed.is_none() {
+            match self.fill() {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) => self.failed = Some(error),
+            }
+        }
+        if self.skip_lf && self.start < self.end {
+            self.skip_lf = false;
+            self.start += usize::from(self.buffer[self.start] == b'\n');
+        }
+        let ahead = &self.buffer[self.start..self.end.min(self.start + size)];
+        let Some(last) = memchr::memrchr(b'\n', ahead) else { return false };
+        lines.extend_from_slice(&ahead[..=last]);
+        self.start += last + 1;
+        true
+    }
+
+    /// So many lines were read elsewhere.
+    pub(crate) fn used(&mut self, lines: u64) {
+        self.line += lines;
+    }
+
+    /// Put lines back in front of what comes next.
+    pub(crate) fn unread(&mut self, lines: &[u8]) {
+        let rest = self.start..self.end;
+        let mut buffer = Vec::with_capacity(lines.len() + self.buffer.len());
+        buffer.extend_from_slice(lines);
+        buffer.extend_from_slice(&self.buffer[rest]);
+        (self.start, self.end) = (0, buffer.len());
+        self.buffer = buffer;
     }
 
     /// The next record that is not blank, or `None` at the end.
@@ -299,106 +372,4 @@ fn misplaced(name: &str, line: u64, record: &[u8]) -> Error {
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    fn read(bytes: &[u8]) -> Result<Vec<(u64, Vec<String>)>> {
-        let mut records = Records::new(Input::from_bytes("x.csv", bytes.to_vec())?)?;
-        let mut out = Vec::new();
-        while let Some(record) = records.next_record()? {
-            let mut fields = Vec::new();
-            record.split_into(&mut fields);
-            let text =
-                |f: &&[u8]| text(f).map_or("<not UTF-8>".into(), std::borrow::Cow::into_owned);
-            out.push((record.line, fields.iter().map(text).collect()));
-        }
-        Ok(out)
-    }
-
-    fn row(line: u64, fields: &[&str]) -> (u64, Vec<String>) {
-        (line, fields.iter().map(|&f| f.into()).collect())
-    }
-
-    #[test]
-    fn lines_are_physical_and_blank_ones_count() {
-        let rows = read(b"\xef\xbb\xbfa,b\r\n\r\n \n1, 2 \n\"x\ny\",3\nz,4").expect("sound");
-        let expected =
-            [row(1, &["a", "b"]), row(4, &["1", "2"]), row(5, &["x\ny", "3"]), row(7, &["z", "4"])];
-        assert_eq!(rows, expected);
-    }
-
-    #[test]
-    fn every_line_end_is_a_line_end() {
-        for text in ["a\nb\nc\n", "a\r\nb\r\nc", "a\rb\rc\r", "a\nb\r\nc\r"] {
-            let rows = read(text.as_bytes()).expect("sound");
-            assert_eq!(rows, [row(1, &["a"]), row(2, &["b"]), row(3, &["c"])], "{text:?}");
-        }
-    }
-
-    #[test]
-    fn quotes_follow_rfc_4180() {
-        let rows = read(b"\"a,b\", \"say \"\"hi\"\"\" ,\"\",c").expect("sound");
-        assert_eq!(rows, [row(1, &["a,b", "say \"hi\"", "", "c"])]);
-    }
-
-    #[test]
-    fn an_unclosed_quote_names_the_line_where_it_opens() {
-        let error = read(b"a\n1\n2,\"b\n3\n4\n").expect_err("unclosed").to_string();
-        assert!(
-            error.starts_with("x.csv:3:field 2: found a quote that is never closed"),
-            "{error}"
-        );
-        let mut long = b"\"".to_vec();
-        long.extend(std::iter::repeat_n(*b"abcdefg\n", 1 << 18).flatten());
-        assert!(read(&long).is_err());
-    }
-
-    #[test]
-    fn a_quote_in_the_middle_of_a_field_is_refused() {
-        assert!(read(b"ab\"c\"").is_err());
-        assert!(read(b"\"ab\"c").is_err());
-    }
-
-    #[test]
-    fn a_line_of_ten_megabytes_is_read() {
-        let mut line = vec![b'1'; 10 << 20];
-        line.extend_from_slice(b",2\n3\n");
-        let rows = read(&line).expect("long but sound");
-        assert_eq!((rows.len(), rows[0].1.len()), (2, 2));
-    }
-
-    #[test]
-    fn endless_blank_lines_are_refused() {
-        let text = [&b"a\n"[..], &vec![b'\n'; MAX_BLANK as usize], &b"\nb\n"[..]].concat();
-        let error = read(&text).expect_err("too many").to_string();
-        assert!(error.starts_with("x.csv:2: found more than 10000000 blank lines"), "{error}");
-    }
-
-    #[test]
-    fn a_line_of_commas_is_refused() {
-        let commas = |n: usize| [&b"a,b\n"[..], &vec![b','; n], &b"\n"[..]].concat();
-        assert_eq!(read(&commas(MAX_FIELDS - 1)).expect("wide")[1].1.len(), MAX_FIELDS);
-        let error = read(&commas(MAX_FIELDS)).expect_err("too wide").to_string();
-        assert_eq!(error, "x.csv:2: found more than 10000 fields, expected a table of poses");
-        let quoted = [&b"\"a\""[..], &vec![b','; MAX_FIELDS]].concat();
-        assert!(read(&quoted).is_err());
-        let inside = [&b"\""[..], &vec![b','; MAX_FIELDS], &b"\",b"[..]].concat();
-        assert_eq!(read(&inside).expect("two fields")[0].1.len(), 2);
-    }
-
-    proptest! {
-        #[test]
-        fn nothing_panics(bytes in prop::collection::vec(prop_oneof![Just(b'"'), Just(b','), Just(b'\n'), Just(b'\r'), any::<u8>()], 0..200)) {
-            let _ = read(&bytes);
-        }
-
-        #[test]
-        fn plain_fields_survive(rows in prop::collection::vec(prop::collection::vec("[a-z0-9.]{1,8}", 1..5), 1..20)) {
-            let text = rows.iter().map(|r| r.join(",")).collect::<Vec<_>>().join("\n");
-            let got: Vec<_> = read(text.as_bytes()).expect("sound").into_iter().map(|r| r.1).collect();
-            prop_assert_eq!(got, rows);
-        }
-    }
-}
+mod tests;

@@ -64,6 +64,13 @@ impl Strings {
         self.ends.push(self.bytes.len());
     }
 
+    /// Append all of `more`.
+    pub(crate) fn append(&mut self, more: &Self) {
+        let before = self.bytes.len();
+        self.bytes.push_str(&more.bytes);
+        self.ends.extend(more.ends.iter().map(|end| before + end));
+    }
+
     /// The `i`-th string.
     ///
     /// # Panics
@@ -311,6 +318,26 @@ impl Departures {
             }
         }
         Ok(unit)
+    }
+
+    /// Add those of the rows that follow, whose lines were counted from `lines_before`.
+    pub(crate) fn append(&mut self, more: Self, lines_before: u64) {
+        let shifted = |place: Option<Place>| {
+            place.map(|p| Place { line: p.line.map(|line| line + lines_before), ..p })
+        };
+        self.count += more.count;
+        if more.worst > self.worst {
+            self.worst = more.worst;
+            self.place = shifted(more.place);
+        }
+        self.unnormalised += more.unnormalised;
+        let off = |norm: f64| (norm - 1.0).abs();
+        if more.norm_place.is_some()
+            && (self.norm_place.is_none() || off(more.worst_norm) > off(self.worst_norm))
+        {
+            self.worst_norm = more.worst_norm;
+            self.norm_place = shifted(more.norm_place);
+        }
     }
 
     /// The warnings to show.
