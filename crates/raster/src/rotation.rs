@@ -301,7 +301,7 @@ mod tests {
         }
 
         #[test]
-        fn the_projection_is_the_nearest_rotation(q in unit(), noise in prop::array::uniform9(-3e-3..3e-3_f64), digits in 0..14) {
+        fn the_projection_is_the_nearest_rotation(q in unit(), noise in prop::array::uniform9(-3e-3..3e-3_f64), digits in 0..14_i32) {
             let noise = DMat3::from_cols_array(&noise) * 10.0_f64.powi(-digits);
             let m = DMat3::from_quat(q) + noise;
             let (p, _) = from_matrix(m.transpose().to_cols_array_2d()).expect("nearly orthonormal");
