@@ -18,7 +18,7 @@ const MAX_QUOTED: usize = 1 << 20;
 /// More blank lines in a row are no table, but gigabytes in a small packed file.
 const MAX_BLANK: u64 = 10_000_000;
 /// More fields than any table has; a line of commas would take sixteen times its size.
-const MAX_FIELDS: usize = 10_000;
+const MAX_FIELDS: usize = 100_000;
 
 /// Reads records; the fields of the latest one are borrowed from it.
 #[derive(Debug)]
@@ -176,7 +176,7 @@ impl Records {
     ///
     /// # Errors
     /// [`Error::Read`]; [`Error::Malformed`] for an unclosed or misplaced quote, a line of more
-    /// than 64 MiB or 10,000 fields.
+    /// than 64 MiB or 100,000 fields.
     pub fn next_record(&mut self) -> Result<Option<Record<'_>>> {
         let last = self.line;
         let (from, to) = loop {
@@ -381,7 +381,7 @@ mod tests {
         let commas = |n: usize| [&b"a,b\n"[..], &vec![b','; n], &b"\n"[..]].concat();
         assert_eq!(read(&commas(MAX_FIELDS - 1)).expect("wide")[1].1.len(), MAX_FIELDS);
         let error = read(&commas(MAX_FIELDS)).expect_err("too wide").to_string();
-        assert_eq!(error, "x.csv:2: found more than 10000 fields, expected a table of poses");
+        assert_eq!(error, "x.csv:2: found more than 100000 fields, expected a table of poses");
         let quoted = [&b"\"a\""[..], &vec![b','; MAX_FIELDS]].concat();
         assert!(read(&quoted).is_err());
         let inside = [&b"\""[..], &vec![b','; MAX_FIELDS], &b"\",b"[..]].concat();
