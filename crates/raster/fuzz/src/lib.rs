@@ -17,8 +17,11 @@ use dronepose_raster::{Mesh, Pose};
 /// The file's name.
 const NAME: &str = "fuzz";
 
+/// Takes any bytes, and panics if a promise is broken.
+pub type Parser = fn(&[u8]);
+
 /// Every parser by the name of its target and of its corpus.
-pub const TARGETS: [(&str, fn(&[u8])); 9] = [
+pub const TARGETS: [(&str, Parser); 9] = [
     ("poses_auto", poses_auto),
     ("poses_csv", poses_csv),
     ("poses_bop", poses_bop),

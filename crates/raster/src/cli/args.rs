@@ -264,14 +264,12 @@ impl Args {
 
 /// The file behind a path, there or not yet; `None` for devices, pipes and folders.
 fn written_file(path: &Path) -> Option<PathBuf> {
-    match std::fs::canonicalize(path) {
-        Ok(file) => file.is_file().then_some(file),
-        Err(_) => {
-            let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-            let folder = std::fs::canonicalize(folder.unwrap_or(Path::new("."))).ok()?;
-            Some(folder.join(path.file_name()?))
-        }
+    if let Ok(file) = std::fs::canonicalize(path) {
+        return file.is_file().then_some(file);
     }
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    let folder = std::fs::canonicalize(folder.unwrap_or(Path::new("."))).ok()?;
+    Some(folder.join(path.file_name()?))
 }
 
 #[cfg(test)]

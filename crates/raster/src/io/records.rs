@@ -18,7 +18,7 @@ const MAX_QUOTED: usize = 1 << 20;
 /// More blank lines in a row are no table, but gigabytes in a small packed file.
 const MAX_BLANK: u64 = 10_000_000;
 /// More fields than any table has; a line of commas would take sixteen times its size.
-const MAX_FIELDS: usize = 10_000;
+const MAX_FIELDS: usize = 100_000;
 
 /// Reads records; the fields of the latest one are borrowed from it.
 #[derive(Debug)]
@@ -249,7 +249,7 @@ impl Records {
     ///
     /// # Errors
     /// [`Error::Read`]; [`Error::Malformed`] for an unclosed or misplaced quote, a line of more
-    /// than 64 MiB or 10,000 fields.
+    /// than 64 MiB or 100,000 fields.
     pub fn next_record(&mut self) -> Result<Option<Record<'_>>> {
         let last = self.line;
         let (from, to) = loop {
