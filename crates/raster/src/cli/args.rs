@@ -18,8 +18,9 @@ Examples:
   dronepose-eval submission.csv test.json --preset speedplus --json -
 
 CSV files have a header: id,qw,qx,qy,qz,tx,ty,tz in any order (or r11..r33, or rx,ry,rz for the
-rotation). Poses are cam_from_model in the OpenCV camera frame. Exit codes: 0 done, 1 an input was
-refused, 2 the command line was not understood.";
+rotation). Poses are cam_from_model in the OpenCV camera frame. An output named - goes to
+standard output. Exit codes: 0 done, 1 an input was refused, 2 the command line was not understood,
+130 interrupted.";
 
 /// Score 6D pose predictions against ground truth.
 ///
@@ -99,7 +100,7 @@ pub struct Args {
     /// Further predictions on the same ground truth: a leaderboard with paired differences
     #[arg(long, value_name = "OTHER", num_args = 1..)]
     pub compare: Vec<PathBuf>,
-    /// Write all numbers as JSON (- for standard output)
+    /// Write all numbers as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     /// Write the errors of every sample as CSV

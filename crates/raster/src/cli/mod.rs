@@ -268,7 +268,7 @@ fn write_outputs(
     Ok(printed.unwrap_or_else(|| report::table(&report, terminal.width, terminal.color)))
 }
 
-/// [`run`] with the streams of this process. An interrupt (Ctrl-C) removes unfinished outputs.
+/// [`run`] with the streams of this process. An interrupt (Ctrl-C), a hang-up or a request to terminate removes unfinished outputs.
 #[must_use]
 pub fn main_with(args: Vec<OsString>) -> u8 {
     // Fails only if a handler is already there; then that one is in charge.

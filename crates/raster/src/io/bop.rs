@@ -4,13 +4,14 @@
 //! <https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md>
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::Path;
 
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
 
 use crate::error::{Error, Place, Result, quoted, visible};
-use crate::io::input::{Input, InputFile};
+use crate::io::input::{Input, InputFile, MAX_JSON};
 use crate::io::pose_csv::number;
 use crate::io::records::Records;
 use crate::io::table::{Departures, PoseTable, Strings, Target, Unit, row_limit, translation};
@@ -215,7 +216,8 @@ fn brief(message: &str) -> String {
 /// [`Error::Malformed`] naming image and instance; [`Error::Read`].
 pub fn read_scene_gt(mut input: Input, unit: Unit, scene: Option<u32>) -> Result<PoseTable> {
     let name = input.name.clone();
-    let parsed: Result<InOrder<Vec<GtInstance>>, _> = serde_json::from_reader(&mut input);
+    let parsed: Result<InOrder<Vec<GtInstance>>, _> =
+        serde_json::from_reader((&mut input).take(MAX_JSON));
     let expected = "a BOP scene_gt.json: {\"image id\": [{\"cam_R_m2c\": [9 numbers], \
                     \"cam_t_m2c\": [3 numbers], \"obj_id\": 1}]}";
     let images = parsed.map_err(|e| json_error(&name, &e, expected))?;

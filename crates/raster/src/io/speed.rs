@@ -4,13 +4,14 @@
 //! are the rotation `cam_from_model`; `r_Vo2To_vbs_true` is the translation in metres.
 //! Kisantal et al., "Satellite Pose Estimation Challenge", 2020; Park et al., "SPEED+", 2022.
 
+use std::io::Read;
+
 use serde::Deserialize;
 use serde::de::{Deserializer, SeqAccess, Visitor};
 
 use crate::error::{Error, Place, Result};
 use crate::io::bop::{Numbers, json_error};
-use crate::io::input::Input;
-use crate::io::input::InputFile;
+use crate::io::input::{Input, InputFile, MAX_JSON};
 use crate::io::pose_csv::{number, read_id};
 use crate::io::records::Records;
 use crate::io::table::{Departures, PoseTable, Strings, Unit, row_limit, translation};
@@ -136,7 +137,7 @@ pub fn read_speed_json(mut input: Input, unit: Unit) -> Result<PoseTable> {
     let mut rows = Rows::new(&input.name, unit);
     let name = input.name.clone();
     let mut refused = None;
-    let mut deserializer = serde_json::Deserializer::from_reader(&mut input);
+    let mut deserializer = serde_json::Deserializer::from_reader((&mut input).take(MAX_JSON));
     let mut count = 0_usize;
     let parsed = Labels(&mut |label: Label| {
         let at = |what: &str| Place::file(&name).column(format!("[{count}].{what}"));

@@ -81,7 +81,7 @@ pub(super) fn scores(m: &Metrics) -> Vec<(String, String, String)> {
     }
     if let Some(s) = m.speedplus {
         let remark = format!(
-            "position {} + orientation {} rad; counted as zero: {} and {}",
+            "position {} + orientation {} rad; counted as zero: {} NPE, {} OE",
             significant(s.e_t),
             significant(s.e_q_rad),
             count(s.zeroed_t),
