@@ -17,7 +17,8 @@ $(BIN)/python:
 	$(PIP) --upgrade pip
 
 demo: $(BIN)/python  ## Install, then score the example predictions and write out/report.html
-	$(PIP) .
+	@echo "building the extension: about two minutes"
+	$(BIN)/python -m pip install --disable-pip-version-check .
 	@mkdir -p out
 	$(BIN)/dronepose-eval examples/predictions.csv examples/gt.csv --mesh examples/quadrotor.obj \
 	    --compare examples/predictions_baseline.csv --by distance --html out/report.html

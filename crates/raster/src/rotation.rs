@@ -183,17 +183,14 @@ pub enum SixD {
 
 /// Nearest rotation of a matrix that is nearly one: Newton's iteration for the polar
 /// decomposition, `X ← (X + X⁻ᵀ) / 2`, which takes a departure `d` (at most [`MAX_DEPARTURE`]) to
-/// `2.25 d²` at most.
+/// `2.25 d²` at most. None is needed where the departure is that of rounding.
 fn nearest_rotation(mut m: DMat3, mut departure: f64) -> DQuat {
-    loop {
+    while departure > 1e-15 {
         let [a, b, c] = [m.x_axis, m.y_axis, m.z_axis];
         // The inverse, transposed, is made of cross products.
         let (bc, ca, ab) = (b.cross(c), c.cross(a), a.cross(b));
         m = (m + DMat3::from_cols(bc, ca, ab) * a.dot(bc).recip()) * 0.5;
-        departure *= 2.25 * departure;
-        if departure < 1e-17 {
-            break;
-        }
+        departure = 2.25 * departure.powi(2);
     }
     // Of the two signs the one with w >= 0, so that equal matrices give equal quaternions.
     let q = DQuat::from_mat3(&m).normalize();
@@ -307,7 +304,7 @@ mod tests {
             let (p, _) = from_matrix(m.transpose().to_cols_array_2d()).expect("nearly orthonormal");
             // Optimality: Pᵀ M is symmetric (the polar factor), and positive definite.
             let s = DMat3::from_quat(p).transpose() * m;
-            prop_assert!((s - s.transpose()).to_cols_array().iter().all(|c| c.abs() < 2e-15));
+            prop_assert!((s - s.transpose()).to_cols_array().iter().all(|c| c.abs() < 4e-15));
             prop_assert!(s.determinant() > 0.9);
         }
     }

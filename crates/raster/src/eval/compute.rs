@@ -14,6 +14,9 @@ use crate::rotation;
 /// Samples a task works on between two progress reports.
 const CHUNK: usize = 256;
 
+/// Writes the errors of some pairs.
+type Stage<'a> = dyn Fn(&mut [f64], &[(u32, u32)]) + Sync + 'a;
+
 /// The tables and what is known of the objects.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scene<'a> {
@@ -79,7 +82,7 @@ pub(crate) fn samples(
         return (s, notes);
     }
     let wants = |metric: &str| request.choice.wants(metric);
-    let in_chunks = |name: &str, f: &(dyn Fn(&mut [f64], &[(u32, u32)]) + Sync)| {
+    let in_chunks = |name: &str, f: &Stage<'_>| {
         progress.begin(name, n as u64);
         let mut out = vec![0.0; n];
         out.par_chunks_mut(CHUNK).zip(pairs.par_chunks(CHUNK)).for_each(|(out, pairs)| {
