@@ -2,32 +2,34 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
+BIN := $(abspath $(VENV))/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SHELL := /bin/bash
 WHEELS := target/wheels
 
-.PHONY: demo test lint test-rust test-python develop bench fuzz examples wheel clean help
+.PHONY: docs/report.png demo test lint test-rust test-python develop bench fuzz examples wheel clean help
 
 help:  ## List the verbs
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(PIP) --upgrade pip
 
 demo: $(BIN)/python  ## Install, then score the example predictions and write out/report.html
-	$(BIN)/python -m pip install --quiet .
+	@echo "building the extension: about two minutes"
+	$(BIN)/python -m pip install --disable-pip-version-check .
 	@mkdir -p out
 	$(BIN)/dronepose-eval examples/predictions.csv examples/gt.csv --mesh examples/quadrotor.obj \
 	    --compare examples/predictions_baseline.csv --by distance --html out/report.html
 	@echo "wrote out/report.html"
 
 wheel: $(BIN)/python  ## Build the wheel and install it with the development tools
-	$(BIN)/python -m pip install --quiet "maturin>=1.9.4,<2"
+	$(PIP) "maturin>=1.9.4,<2"
 	rm -rf $(WHEELS)
 	$(BIN)/maturin build --release --quiet --interpreter $(BIN)/python --out $(WHEELS)
-	$(BIN)/python -m pip install --quiet --force-reinstall --no-deps $(WHEELS)/*.whl
-	wheel=$$(echo $(WHEELS)/*.whl) && $(BIN)/python -m pip install --quiet "$$wheel[dev]"
+	$(PIP) --force-reinstall --no-deps $(WHEELS)/*.whl
+	wheel=$$(echo $(WHEELS)/*.whl) && $(PIP) "$$wheel[dev]"
 
 test: wheel chromium lint test-rust test-python  ## Install what is missing and pass all tests
 
@@ -43,7 +45,7 @@ test-rust:  ## Unit tests, property tests, command-line transcripts
 	cargo test --workspace
 
 test-python: wheel  ## Tests of the installed wheel
-	cd tests && ../$(BIN)/python -m pytest -c ../pyproject.toml --rootdir .. .
+	cd tests && $(BIN)/python -m pytest -c ../pyproject.toml --rootdir .. .
 
 .PHONY: chromium
 chromium:  # The HTML report is opened in a real browser; without root its test is skipped.
@@ -52,7 +54,7 @@ chromium:  # The HTML report is opened in a real browser; without root its test 
 	    echo "chromium is not here and cannot be installed: the report's browser test will be skipped"
 
 develop: $(BIN)/python  ## Editable install for work on the sources
-	$(BIN)/python -m pip install --quiet "maturin>=1.9.4,<2"
+	$(PIP) "maturin>=1.9.4,<2"
 	source $(BIN)/activate && maturin develop --release --extras dev
 
 bench: develop  ## Benchmarks in Rust, and against NumPy and SciPy
@@ -62,11 +64,17 @@ bench: develop  ## Benchmarks in Rust, and against NumPy and SciPy
 fuzz:  ## Every parser for a minute (needs the nightly toolchain and cargo-fuzz)
 	command -v cargo-fuzz >/dev/null || cargo install cargo-fuzz
 	cd crates/raster && for target in $$(cargo fuzz list); do \
-	    echo "== $$target"; cargo +nightly fuzz run $$target -- -max_total_time=$${SECONDS_EACH:-60} -rss_limit_mb=2048 || exit 1; done
+	    echo "== $$target"; mkdir -p fuzz/found/$$target; \
+	    cargo +nightly fuzz run $$target fuzz/found/$$target fuzz/corpus/$$target -- \
+	        -max_total_time=$${SECONDS_EACH:-60} -timeout=10 -rss_limit_mb=2048 || exit 1; done
 
 examples: $(BIN)/python  ## Generate the example data again
-	$(BIN)/python -m pip install --quiet numpy
+	$(PIP) numpy
 	$(BIN)/python examples/make_examples.py
+
+docs/report.png: demo chromium  ## The README's picture, from the example data
+	$(BIN)/dronepose-eval examples/predictions.csv examples/gt.csv --mesh examples/quadrotor.obj --html out/picture.html --quiet
+	chromium --headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1280,1545 --screenshot=$@ file://$(CURDIR)/out/picture.html
 
 clean:  ## Remove what was built
 	cargo clean

@@ -38,7 +38,11 @@ def vertices(path: Path | None) -> Array:
     rng = np.random.default_rng(7)
     body = rng.normal(size=(1000, 3)) * (0.08, 0.04, 0.03)
     side = 0.15 * rng.choice((-1.0, 1.0), size=(1612, 2))
-    rotors = np.column_stack([side, np.full(1612, 0.02)]) + rng.normal(size=(1612, 3)) * (0.04, 0.04, 0.002)
+    rotors = np.column_stack([side, np.full(1612, 0.02)]) + rng.normal(size=(1612, 3)) * (
+        0.04,
+        0.04,
+        0.002,
+    )
     distinct = np.concatenate([body, rotors])
     return np.concatenate([distinct, distinct[:398]])
 
@@ -123,7 +127,9 @@ def main() -> None:
     some = tuple(a[:few] for a in near)
     rows: dict[str, Array] = {}
 
-    ours, exact = microseconds(lambda: np.asarray(metrics.add(mesh, *near, threads=1)), options.poses, 7)
+    ours, exact = microseconds(
+        lambda: np.asarray(metrics.add(mesh, *near, threads=1)), options.poses, 7
+    )
     rows["ADD, dronepose"] = ours
     for dtype in (np.float64, np.float32):
         best = np.full(2, np.inf)
@@ -132,7 +138,9 @@ def main() -> None:
                 taken, value = microseconds(
                     lambda f=form, c=chunk, d=dtype: f(points, near, c, d), options.poses, 3
                 )
-                np.testing.assert_allclose(value, exact, rtol=1e-12 if dtype is np.float64 else 1e-4)
+                np.testing.assert_allclose(
+                    value, exact, rtol=1e-12 if dtype is np.float64 else 1e-4
+                )
                 best = np.minimum(best, taken)
         rows[f"ADD, NumPy {np.dtype(dtype).name}"] = best
     diagonal = float(np.linalg.norm(np.ptp(points, axis=0)))
@@ -143,7 +151,9 @@ def main() -> None:
     np.testing.assert_allclose(recall, [(exact < t).mean() for t in thresholds])
     rows["ADD recall at 2, 5, 10 %, dronepose"] = taken
     metrics.adds(mesh, *(a[:1] for a in near), threads=1)
-    taken, value = microseconds(lambda: np.asarray(metrics.adds(mesh, *near, threads=1)), options.poses, 3)
+    taken, value = microseconds(
+        lambda: np.asarray(metrics.adds(mesh, *near, threads=1)), options.poses, 3
+    )
     rows["ADD-S, dronepose"] = taken
     taken, tree = microseconds(lambda: adds_tree(points, some), few, 3)
     np.testing.assert_allclose(value[:few], tree, rtol=1e-12, atol=1e-14)
@@ -152,7 +162,8 @@ def main() -> None:
     ratios = {
         "ADD": rows["ADD, NumPy float64"] / rows["ADD, dronepose"],
         "ADD-S": rows["ADD-S, cKDTree per pose"] / rows["ADD-S, dronepose"],
-        "ADD recall, against exact ADD": rows["ADD, dronepose"] / rows["ADD recall at 2, 5, 10 %, dronepose"],
+        "ADD recall, against exact ADD": rows["ADD, dronepose"]
+        / rows["ADD recall at 2, 5, 10 %, dronepose"],
     }
     print(f"{len(points)} vertices, {options.poses} poses, one thread, numpy {np.__version__}")
     print(f"{'':40} {'wall clock':>13} {'processor':>13}")

@@ -8,7 +8,7 @@ torch and the command ``dronepose-eval`` starts at once.
 
 Example:
     >>> import dronepose
-    >>> result = dronepose.evaluate("predictions.csv", "gt.csv", mesh="quadrotor.obj")
+    >>> result = dronepose.evaluate("examples/predictions.csv", "examples/gt.csv")
     >>> result.metrics.acc["5"].percent_of_gt
     84.3
 """

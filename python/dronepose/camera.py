@@ -21,7 +21,8 @@ class Camera:
     """Intrinsics of a pinhole camera without distortion, and the size of its image.
 
     ``u = fx x/z + skew y/z + cx``, ``v = fy y/z + cy`` for a point ``(x, y, z)`` of the OpenCV
-    camera frame (x right, y down, z forward).
+    camera frame (x right, y down, z forward): Hartley & Zisserman, "Multiple View Geometry in
+    Computer Vision", 2nd ed., section 6.1.
 
     Args:
         fx: Focal length in pixels along u, above zero.
@@ -33,6 +34,7 @@ class Camera:
         skew: Shear of the pixel grid, in pixels.
 
     Raises:
+        TypeError: An argument is no number.
         ValueError: An argument is outside its range; the message starts with its name.
 
     Example:
@@ -69,7 +71,12 @@ class Camera:
 
     @property
     def K(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name
-        """The camera matrix ``(3, 3)`` float64, ``[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]``."""
+        """``[[fx, skew, cx], [0, fy, cy], [0, 0, 1]]``, ``(3, 3)`` float64, in pixels.
+
+        Example:
+            >>> Camera(500, 500, 320, 240, width=640, height=480, skew=1).K[0].tolist()
+            [500.0, 1.0, 320.0]
+        """
         import numpy as np
 
         return np.array([[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
@@ -79,7 +86,8 @@ class Camera:
         """From a camera matrix.
 
         Args:
-            K: ``(3, 3)`` matrix in pixels, with pixel centres at ``+ 0.5`` (see the module).
+            K: ``(3, 3)`` float32 or float64, in pixels, with pixel centres at ``+ 0.5`` (see the
+                module).
             width: Columns of the image.
             height: Rows of the image.
 

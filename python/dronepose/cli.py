@@ -24,7 +24,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Example:
         >>> from dronepose.cli import main
-        >>> main(["predictions.csv", "gt.csv", "--json", "-"])  # doctest: +SKIP
+        >>> main(["examples/predictions.csv", "examples/gt.csv", "--quiet"])
         0
     """
     signal.signal(signal.SIGINT, signal.SIG_DFL)

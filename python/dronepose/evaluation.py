@@ -85,13 +85,17 @@ def evaluate(
     mesh: str | os.PathLike[str] | Mesh | None = None,
     mesh_unit: Literal["m", "cm", "mm"] | None = None,
     unit: Literal["m", "mm"] | None = None,
-    add_reference: Literal["bbox-diagonal", "diameter"] | float = "bbox-diagonal",
+    add_reference: Literal["bbox-diagonal", "diameter"] | float | None = None,
     symmetries: str | os.PathLike[str] | Mapping[str, Any] | None = None,
     camera: Camera | str | os.PathLike[str] | None = None,
     acc: Sequence[float] = (2, 5, 10),
     add: Sequence[float] = (2, 5, 10),
+    metrics: Literal["auto", "all"] | Sequence[str] = "auto",
     preset: Literal["paper", "authors", "bop", "speedplus"] = "paper",
+    batch_size: int = 8,
+    objects: Sequence[int] = (),
     by: Sequence[str] = (),
+    up: Literal["y", "z"] = "z",
     bootstrap: int | None = None,
     seed: int = 0,
     threads: int = 0,
@@ -101,13 +105,14 @@ def evaluate(
     """Score predicted poses against ground truth, joined by id.
 
     Means are over the poses with a prediction; recalls and areas count a missing prediction as
-    wrong.
+    wrong. By default the metrics of DronePose (Albanis et al., ECCV Workshops 2020), section 5; the
+    functions of :mod:`dronepose.metrics` cite the source of each.
 
     Args:
         predictions: A file (CSV, BOP results CSV, BOP ``scene_gt.json``, SPEED CSV or JSON), or
             arrays: a tuple ``(R, t)`` or ``(R, t, ids)``, or a mapping with these keys. ``R`` is
-            ``(N, 3, 3)``, ``t`` is ``(N, 3)``, ``cam_from_model``; without ``ids`` the row number
-            is the id.
+            ``(N, 3, 3)`` and ``t`` is ``(N, 3)``, float32 or float64, ``cam_from_model`` in the
+            OpenCV camera frame; without ``ids`` the row number is the id.
         gt: The ground truth, in the same forms.
         mesh: The model, for ADD, ADD-S, MSSD, MSPD and the projection error: a :class:`Mesh`, a
             mesh file, or the ``models`` folder of a BOP data set.
@@ -115,15 +120,21 @@ def evaluate(
             folder. A :class:`Mesh` is in metres.
         unit: Unit of the translations; by default that of the format, metres for arrays.
         add_reference: What the percentages of ``add`` refer to: the diagonal of the bounding box
-            (the paper), the diameter (BOP), or a length in metres (the authors' code: 0.354).
+            (the paper), the diameter (BOP), or a length in metres (the authors' code: 0.354); by
+            default that of ``preset``.
         symmetries: A file in the form of BOP's ``models_info.json``, or the entry of the object.
         camera: A :class:`Camera` or a camera file, for MSPD and the projection error.
         acc: X of AccX: below X degrees and X centimetres.
         add: k of 6D Pose-k: ADD below k percent of the reference.
-        preset: ``"paper"``; ``"authors"`` adds the batch means their script prints; ``"bop"``;
-            ``"speedplus"``.
+        metrics: Metrics over vertices: some of ``"add"``, ``"adds"``, ``"mssd"``, ``"mspd"`` and
+            ``"proj"``; ``"all"``; or ``"auto"``, which leaves ADD-S out where it would take long.
+        preset: ``"paper"``; ``"authors"`` (0.354 m, and the batch means that their script prints);
+            ``"bop"`` (the diameter); ``"speedplus"``.
+        batch_size: Batch size of the authors preset.
+        objects: Score only these objects of BOP files; all if empty.
         by: Breakdowns: ``"distance"``, ``"azimuth"``, ``"elevation"`` or a column of the ground
             truth.
+        up: The model's up axis, which azimuth and elevation refer to.
         bootstrap: Resamples for 95 % confidence intervals; ``None`` for 1000 up to 50,000 samples
             and none above.
         seed: Seed of the resampling.
@@ -132,7 +143,7 @@ def evaluate(
         compare: Files with the predictions of other methods for the same ground truth.
 
     Returns:
-        All numbers, with the settings that led to them.
+        All numbers, with the settings that led to them; units are in the names.
 
     Raises:
         ValueError: An input was refused; the message says where, what was found and what was
@@ -141,18 +152,27 @@ def evaluate(
         TypeError: An argument has the wrong type.
 
     Example:
-        >>> result = evaluate("predictions.csv", "gt.csv", mesh="quadrotor.obj")  # doctest: +SKIP
-        >>> result.metrics.npe.mean, result.metrics.add_recall.at["10"].count  # doctest: +SKIP
+        >>> from dronepose import evaluate
+        >>> predictions, gt = "examples/predictions.csv", "examples/gt.csv"
+        >>> result = evaluate(predictions, gt, mesh="examples/quadrotor.obj", bootstrap=0)
+        >>> result.n_gt, result.n_matched
+        (2000, 1937)
+        >>> round(result.metrics.npe.mean, 4), result.metrics.add_recall.at["10"].count
+        (0.0199, 1818)
         >>> print(result.table())  # doctest: +SKIP
     """
     options = [
-        f"--add-reference={_number_or_word(add_reference)}",
         f"--acc={_numbers('acc', acc)}",
         f"--add={_numbers('add', add)}",
+        f"--metrics={metrics if isinstance(metrics, str) else ','.join(metrics)}",
         f"--preset={preset}",
+        f"--batch-size={batch_size}",
+        f"--up={up}",
         f"--seed={seed}",
         f"--threads={threads}",
     ]
+    if add_reference is not None:
+        options.append(f"--add-reference={_number_or_word(add_reference)}")
     if unit is not None:
         options.append(f"--unit={unit}")
     if bootstrap is not None:
@@ -163,11 +183,16 @@ def evaluate(
         by = (by,)
     if isinstance(compare, str | os.PathLike):
         compare = (compare,)
+    options += [f"--objects={number}" for number in objects]
     options += [f"--by={column}" for column in by]
     options += [f"--compare={os.fspath(path)}" for path in compare]
     native_mesh: _native.Mesh | None = None
     with tempfile.TemporaryDirectory(prefix="dronepose-") as folder:
-        if isinstance(camera, Camera):
+        if isinstance(camera, Camera) and camera.skew == 0.0:
+            c = camera
+            intrinsics = [_number(v) for v in (c.fx, c.fy, c.cx, c.cy, c.width, c.height)]
+            options.append(f"--camera={','.join(intrinsics)}")
+        elif isinstance(camera, Camera):
             path = Path(folder) / "camera.json"
             path.write_text(json.dumps(dataclasses.asdict(camera)), encoding="utf-8")
             options.append(f"--camera={path}")

@@ -1,7 +1,8 @@
 """Rotations in every form people store them, to and from 3 x 3 matrices.
 
 The arithmetic is the core's, in float64: quaternions of any norm are normalised without overflow,
-and what is no rotation is refused with its row rather than turned into one.
+and what is no rotation is refused with its row rather than turned into one. A rotation has no frame
+of its own: what the quaternion turns from and to, the matrix does.
 """
 
 from __future__ import annotations
@@ -27,13 +28,18 @@ __all__ = [
 def matrix_from_quat_wxyz(quat_wxyz: ArrayLike) -> NDArray[np.float64]:
     """Rotation matrices of Hamilton quaternions, scalar first.
 
+    Hamilton's product, ``i j = k``: Solà, "Quaternion kinematics for the error-state Kalman
+    filter", 2017.
+
     Args:
-        quat_wxyz: ``(..., 4)``, ``(w, x, y, z)`` of any norm above 1e-12; ``q`` and ``-q`` are one.
+        quat_wxyz: ``(..., 4)`` float32 or float64, ``(w, x, y, z)`` of any norm above 1e-12; ``q``
+            and ``-q`` are one rotation.
 
     Returns:
         ``(..., 3, 3)`` float64.
 
     Raises:
+        TypeError: The argument holds no real numbers.
         ValueError: A wrong shape, a value that is not finite, or a quaternion of zero norm; the
             message names the row.
 
@@ -48,14 +54,16 @@ def matrix_from_quat_wxyz(quat_wxyz: ArrayLike) -> NDArray[np.float64]:
 def matrix_from_quat_xyzw(quat_xyzw: ArrayLike) -> NDArray[np.float64]:
     """Rotation matrices of Hamilton quaternions, scalar last (SciPy, ROS, Unity).
 
+    As :func:`matrix_from_quat_wxyz` but for the order.
+
     Args:
-        quat_xyzw: ``(..., 4)``, ``(x, y, z, w)`` of any norm above 1e-12.
+        quat_xyzw: ``(..., 4)`` float32 or float64, ``(x, y, z, w)`` of any norm above 1e-12.
 
     Returns:
         ``(..., 3, 3)`` float64.
 
     Raises:
-        ValueError: As :func:`matrix_from_quat_wxyz`.
+        TypeError, ValueError: As :func:`matrix_from_quat_wxyz`.
 
     Example:
         >>> matrix_from_quat_xyzw([0, 0, 1, 0]).tolist()
@@ -66,15 +74,17 @@ def matrix_from_quat_xyzw(quat_xyzw: ArrayLike) -> NDArray[np.float64]:
 
 
 def matrix_from_axis_angle(axis_angle: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices of rotation vectors (the exponential map).
+    """Rotation matrices of rotation vectors: Rodrigues' formula, the exponential map.
 
     Args:
-        axis_angle: ``(..., 3)``; the direction is the axis, the length the angle in radians.
+        axis_angle: ``(..., 3)`` float32 or float64; the direction is the axis, the length the angle
+            in radians, right-handed.
 
     Returns:
         ``(..., 3, 3)`` float64.
 
     Raises:
+        TypeError: The argument holds no real numbers.
         ValueError: A wrong shape, or a value that is not finite; the message names the row.
 
     Example:
@@ -91,17 +101,19 @@ def matrix_from_6d(
     """Rotation matrices of the continuous 6D form, by Gram-Schmidt.
 
     Zhou et al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019; the
-    output of the paper's rotation head.
+    output of DronePose's rotation head.
 
     Args:
-        rotation_6d: ``(..., 6)``: two vectors of three numbers, the first keeps its direction.
-        layout: Whether they are the first two columns of the matrix (Zhou et al., the paper) or
-            its first two rows (PyTorch3D).
+        rotation_6d: ``(..., 6)`` float32 or float64: two vectors of three numbers, the first keeps
+            its direction.
+        layout: Whether they are the first two columns of the matrix (Zhou et al., DronePose) or its
+            first two rows (PyTorch3D).
 
     Returns:
         ``(..., 3, 3)`` float64.
 
     Raises:
+        TypeError: The argument holds no real numbers.
         ValueError: A wrong shape or layout, a value that is not finite, or vectors that are zero
             or parallel; the message names the row.
 
@@ -120,14 +132,18 @@ def quat_wxyz_from_matrix(R: ArrayLike) -> NDArray[np.float64]:
     """Unit quaternions, scalar first and not negative, of rotation matrices.
 
     Args:
-        R: ``(..., 3, 3)``. A matrix that departs from orthonormality by at most 1e-2 is replaced
-            by the nearest rotation (with a warning above 1e-5).
+        R: ``(..., 3, 3)`` float32 or float64. A matrix that departs from orthonormality by at most
+            1e-2 is replaced by the nearest rotation.
 
     Returns:
         ``(..., 4)`` float64, ``(w, x, y, z)`` with ``w >= 0``.
 
     Raises:
+        TypeError: The argument holds no real numbers.
         ValueError: A wrong shape, or a matrix that is no rotation; the message names the row.
+
+    Warns:
+        UserWarning: A matrix departs from orthonormality by more than 1e-5 and was replaced.
 
     Example:
         >>> quat_wxyz_from_matrix([[1, 0, 0], [0, 1, 0], [0, 0, 1]]).tolist()

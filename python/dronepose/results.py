@@ -2,17 +2,16 @@
 
 The mirror of ``crates/raster/src/eval/results.rs``; ``docs/json.md`` documents the same keys for
 readers of the JSON. A value that could not be computed is ``None`` here and absent there.
+Translations are in the OpenCV camera frame; units are in the names.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import types
-import typing
 from dataclasses import dataclass, field
-from functools import cache
-from typing import Any, TypeVar
+from typing import Any
+
+from dronepose._decode import decode
 
 SCHEMA = "dronepose-eval/1"
 
@@ -288,7 +287,7 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """A difference of means with its paired bootstrap."""
+    """A difference of means, or of recalls in percent, with its paired bootstrap."""
 
     mean: float
     """Mean of the paired differences."""
@@ -297,7 +296,8 @@ class Difference:
     p: float | None = None
     """Two-sided bootstrap p-value of "no difference"."""
     n: int
-    """Samples in the comparison."""
+    """Samples in the comparison: those that both predict for a mean, all ground truth for a
+    recall."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -317,8 +317,9 @@ class Comparison:
     ci95: Intervals | None = None
     """95 % confidence intervals."""
     difference: dict[str, Difference]
-    """Difference of means, this method minus the first, over the samples that both predict; key
-    as in ``Intervals``."""
+    """Differences, this method minus the first. Of means, over the samples that both predict; key
+    as in ``Intervals``. Of recalls, in percent of all ground truth: ``acc_X``, ``add_recall_k``,
+    ``adds_recall_k``."""
     warnings: list[str] = field(default_factory=list)
     """Warnings about this file."""
 
@@ -365,6 +366,8 @@ class Settings:
     """Resamples of the bootstrap; 0 for none."""
     seed: int
     """Seed of the bootstrap."""
+    up: str
+    """The model's up axis, which azimuth and elevation refer to: ``y`` or ``z``."""
     strict: bool
     """Whether warnings were errors."""
 
@@ -374,6 +377,12 @@ class Evaluation:
     """Result of scoring one file of predictions, with the comparisons made beside it.
 
     Made by :func:`dronepose.evaluate`; ``str()`` of it is the table of the command line.
+
+    Example:
+        >>> from dronepose import evaluate
+        >>> result = evaluate("examples/predictions.csv", "examples/gt.csv", bootstrap=0)
+        >>> result.metrics.acc["5"].count, result.n_gt
+        (1686, 2000)
     """
 
     schema: str
@@ -406,6 +415,8 @@ class Evaluation:
     """Every choice that influences a number."""
     warnings: list[str]
     """What the user should know; each is one sentence."""
+    notes: list[str] = field(default_factory=list)
+    """What was left out by default, and how to get it; each is one sentence."""
 
     _json: str = field(repr=False, compare=False, metadata={"internal": True})
     _table: str = field(repr=False, compare=False, metadata={"internal": True})
@@ -425,75 +436,54 @@ class Evaluation:
             ValueError: The text is no JSON of this layout.
 
         Example:
-            >>> Evaluation.from_json(Path("result.json").read_text()).n_gt  # doctest: +SKIP
+            >>> from dronepose import Evaluation, evaluate
+            >>> result = evaluate("examples/predictions.csv", "examples/gt.csv", bootstrap=0)
+            >>> Evaluation.from_json(result.to_json()) == result
+            True
         """
         data = json.loads(text)
         if not isinstance(data, dict) or data.get("schema") != SCHEMA:
             found = data.get("schema") if isinstance(data, dict) else type(data).__name__
             raise ValueError(f"schema: expected {SCHEMA!r}, got {found!r}")
-        return _decode(cls, data, {"_json": text, "_table": table})
+        return decode(cls, data, {"_json": text, "_table": table})
 
     def to_dict(self) -> dict[str, Any]:
         """Exactly the JSON of the command line, as dictionaries and lists.
 
         Returns:
             A fresh copy; absent values have no key.
+
+        Example:
+            >>> from dronepose import evaluate
+            >>> result = evaluate("examples/gt.csv", "examples/gt.csv", bootstrap=0)
+            >>> result.to_dict()["metrics"]["npe"]["mean"]
+            0.0
         """
         data: dict[str, Any] = json.loads(self._json)
         return data
 
     def to_json(self) -> str:
-        """The JSON of the command line, as text."""
+        """The JSON of the command line, as text.
+
+        Example:
+            >>> import json
+            >>> from dronepose import evaluate
+            >>> result = evaluate("examples/gt.csv", "examples/gt.csv", bootstrap=0)
+            >>> json.loads(result.to_json())["schema"]
+            'dronepose-eval/1'
+        """
         return self._json
 
     def table(self) -> str:
-        """The table that the command line prints, without colours."""
+        """The table that the command line prints, without colours.
+
+        Example:
+            >>> from dronepose import evaluate
+            >>> result = evaluate("examples/gt.csv", "examples/gt.csv", bootstrap=0)
+            >>> "NPE" in result.table()
+            True
+        """
         return self._table
 
     def __str__(self) -> str:
         return self._table
-
-
-_T = TypeVar("_T")
-
-
-@cache
-def _hints(cls: type) -> dict[str, Any]:
-    return typing.get_type_hints(cls)
-
-
-def _decode(cls: type[_T], data: dict[str, Any], extra: dict[str, Any] | None = None) -> _T:
-    """An instance of a dataclass from a JSON object; keys that it does not know are ignored."""
-    values: dict[str, Any] = dict(extra or {})
-    rest = dict(data)
-    hints = _hints(cls)  # type: ignore[arg-type]  # a class is hashable
-    flattened: str | None = None
-    for f in dataclasses.fields(cls):  # type: ignore[arg-type]  # every caller passes a dataclass
-        if "internal" in f.metadata:
-            continue
-        key = f.metadata.get("key", f.name)
-        if "flatten" in f.metadata:
-            flattened = f.name
-        elif key in rest:
-            values[f.name] = _value(hints[f.name], rest.pop(key))
-    if flattened is not None:
-        values[flattened] = _value(hints[flattened], rest)
-    try:
-        return cls(**values)
-    except TypeError as error:
-        raise ValueError(f"{cls.__name__}: {error}") from None
-
-
-def _value(hint: Any, value: Any) -> Any:
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (types.UnionType, typing.Union):
-        return _value(next(a for a in args if a is not type(None)), value)
-    if origin is list:
-        return [_value(args[0], v) for v in value]
-    if origin is dict:
-        return {k: _value(args[1], v) for k, v in value.items()}
-    if origin is tuple:
-        return tuple(value)
-    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        return _decode(hint, value)
-    return value

@@ -1,5 +1,6 @@
 //! The one error type of the crate: what was wrong, in which input and where, and what was expected.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -39,12 +40,13 @@ impl Place {
 
 impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.file)?;
+        f.write_str(&visible(&self.file))?;
         if let Some(line) = self.line {
             write!(f, ":{line}")?;
         }
         if let Some(column) = &self.column {
-            write!(f, ":{column}")?;
+            // Often text of the file: a key, an id.
+            write!(f, ":{}", shortened(column.as_bytes()))?;
         }
         Ok(())
     }
@@ -55,7 +57,7 @@ impl fmt::Display for Place {
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be opened or read.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {source}", visible(&path.to_string_lossy()))]
     Read {
         /// The file.
         path: PathBuf,
@@ -64,7 +66,7 @@ pub enum Error {
     },
 
     /// A file could not be written.
-    #[error("cannot write {}: {source}", path.display())]
+    #[error("cannot write {}: {source}", visible(&path.to_string_lossy()))]
     Write {
         /// The file.
         path: PathBuf,
@@ -157,20 +159,58 @@ impl Error {
 
 /// User text shortened for a message: quoted, control characters escaped, at most 60 characters.
 pub(crate) fn quoted(text: &[u8]) -> String {
+    format!("'{}'", shortened(text))
+}
+
+/// As [`quoted`], without the quotes.
+pub(crate) fn shortened(text: &[u8]) -> String {
     const LIMIT: usize = 60;
     let text = String::from_utf8_lossy(&text[..text.len().min(4 * LIMIT + 4)]);
-    let mut out = String::from("'");
-    for (k, c) in text.chars().enumerate() {
-        if k == LIMIT {
-            out.push('…');
-            break;
-        }
+    match text.char_indices().nth(LIMIT) {
+        Some((end, _)) => format!("{}…", visible(&text[..end])),
+        None => visible(&text).into_owned(),
+    }
+}
+
+/// Text on one line, its control characters escaped, so that it cannot steer a terminal.
+pub(crate) fn visible(text: &str) -> Cow<'_, str> {
+    if !text.contains(char::is_control) {
+        return text.into();
+    }
+    let mut out = String::with_capacity(text.len() + 8);
+    for c in text.chars() {
         if c.is_control() {
             out.extend(c.escape_default());
         } else {
             out.push(c);
         }
     }
-    out.push('\'');
-    out
+    out.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_one_short_line_whatever_the_names() {
+        let place = Place::line("a\nb.csv", 3).column("\u{1b}[2J".to_owned() + &"x".repeat(1000));
+        let text = place.to_string();
+        assert!(text.starts_with("a\\nb.csv:3:\\u{1b}[2Jxxx"), "{text}");
+        assert!(text.len() < 100, "{text}");
+    }
+
+    #[test]
+    fn the_path_of_an_error_is_visible() {
+        let source = std::io::Error::other("full");
+        let error = Error::Write { path: "\u{7}\r.json".into(), source };
+        assert_eq!(error.to_string(), "cannot write \\u{7}\\r.json: full");
+    }
+
+    #[test]
+    fn quoted_text_is_cut_between_characters() {
+        assert_eq!(quoted(b"a\tb"), "'a\\tb'");
+        let long = "\u{1f681}".repeat(100);
+        assert_eq!(quoted(long.as_bytes()), format!("'{}…'", "\u{1f681}".repeat(60)));
+    }
 }

@@ -1,8 +1,3 @@
-//! Any bytes as a PLY file.
 #![no_main]
 
-use dronepose_raster::io::ply::parse_ply;
-
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
-    let _ = parse_ply(bytes, "fuzz");
-});
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| dronepose_raster_fuzz::mesh_ply(bytes));

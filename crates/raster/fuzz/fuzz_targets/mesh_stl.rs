@@ -1,8 +1,3 @@
-//! Any bytes as an STL file.
 #![no_main]
 
-use dronepose_raster::io::stl::parse_stl;
-
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
-    let _ = parse_stl(bytes, "fuzz");
-});
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| dronepose_raster_fuzz::mesh_stl(bytes));

@@ -1,12 +1,12 @@
 //! The command line of `dronepose-eval`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Parser, ValueEnum};
 
 use crate::error::{Error, Result};
 use crate::eval::request::CHOICES;
-use crate::eval::{Choice, Level, Preset, Reference, Request, Up};
+use crate::eval::{Cameras, Choice, Level, Preset, Reference, Request, Up};
 use crate::io::{Format, Unit};
 
 const EXAMPLES: &str = "\
@@ -18,8 +18,9 @@ Examples:
   dronepose-eval submission.csv test.json --preset speedplus --json -
 
 CSV files have a header: id,qw,qx,qy,qz,tx,ty,tz in any order (or r11..r33, or rx,ry,rz for the
-rotation). Poses are cam_from_model in the OpenCV camera frame. Exit codes: 0 done, 1 an input was
-refused, 2 the command line was not understood.";
+rotation). Poses are cam_from_model in the OpenCV camera frame. An output named - goes to
+standard output. Exit codes: 0 done, 1 an input was refused, 2 the command line was not understood,
+130 interrupted.";
 
 /// Score 6D pose predictions against ground truth.
 ///
@@ -99,7 +100,7 @@ pub struct Args {
     /// Further predictions on the same ground truth: a leaderboard with paired differences
     #[arg(long, value_name = "OTHER", num_args = 1..)]
     pub compare: Vec<PathBuf>,
-    /// Write all numbers as JSON (- for standard output)
+    /// Write all numbers as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     /// Write the errors of every sample as CSV
@@ -181,6 +182,9 @@ impl Args {
     /// # Errors
     /// [`Error::Argument`] for levels that are not above zero, unknown metrics.
     pub fn request(&self) -> Result<Request> {
+        if let Some(Err(error)) = self.camera.as_deref().and_then(Cameras::from_text) {
+            return Err(Error::argument("--camera", error.to_string()));
+        }
         let preset = match self.preset.as_str() {
             "authors" => Preset::Authors,
             "bop" => Preset::Bop,
@@ -219,21 +223,80 @@ impl Args {
         })
     }
 
-    /// The outputs that go to standard output; at most one may.
+    /// Whether an output goes to standard output; at most one may, and no file may be named twice
+    /// if it is written.
     ///
     /// # Errors
-    /// [`Error::Argument`] if two of them do, or both inputs are standard input.
+    /// [`Error::Argument`] if two outputs are one file, an output is an input, or two inputs are
+    /// standard input.
     pub fn to_stdout(&self) -> Result<bool> {
-        let dash = |p: &Option<PathBuf>| p.as_deref().is_some_and(|p| p.as_os_str() == "-");
-        let outputs = [&self.json, &self.per_sample, &self.html, &self.markdown, &self.latex];
-        let count = outputs.into_iter().filter(|p| dash(p)).count();
-        if count > 1 {
+        let outputs = [
+            ("--json", &self.json),
+            ("--per-sample", &self.per_sample),
+            ("--html", &self.html),
+            ("--markdown", &self.markdown),
+            ("--latex", &self.latex),
+        ];
+        let outputs = outputs.iter().filter_map(|(name, path)| Some((*name, path.as_deref()?)));
+        let (dashes, outputs): (Vec<_>, Vec<_>) = outputs.partition(|(_, p)| *p == "-");
+        if dashes.len() > 1 {
             return Err(Error::argument("-", "only one output can go to standard output"));
         }
-        let inputs = std::iter::once(&self.predictions).chain([&self.gt]).chain(&self.compare);
-        if inputs.filter(|p| p.as_os_str() == "-").count() > 1 {
+        let mut inputs = vec![("PREDICTIONS", self.predictions.as_path()), ("GT", &self.gt)];
+        inputs.extend(self.compare.iter().map(|p| ("--compare", p.as_path())));
+        inputs.extend(self.mesh.iter().map(|p| ("--mesh", p.as_path())));
+        inputs.extend(self.symmetries.iter().map(|p| ("--symmetries", p.as_path())));
+        inputs.extend(self.camera.iter().map(|c| ("--camera", Path::new(c))));
+        if inputs.iter().filter(|(_, p)| *p == "-").count() > 1 {
             return Err(Error::argument("-", "only one input can be standard input"));
         }
-        Ok(count == 1)
+        for (k, (name, path)) in outputs.iter().enumerate() {
+            let Some(file) = written_file(path) else { continue };
+            let others = inputs.iter().chain(&outputs[..k]);
+            let same = |(_, p): &&(&str, &Path)| written_file(p).as_ref() == Some(&file);
+            if let Some((other, _)) = others.into_iter().find(same) {
+                let message = format!("{} is also the file of {other}", path.display());
+                return Err(Error::argument(*name, message));
+            }
+        }
+        Ok(!dashes.is_empty())
+    }
+}
+
+/// The file behind a path, there or not yet; `None` for devices, pipes and folders.
+fn written_file(path: &Path) -> Option<PathBuf> {
+    if let Ok(file) = std::fs::canonicalize(path) {
+        return file.is_file().then_some(file);
+    }
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    let folder = std::fs::canonicalize(folder.unwrap_or(Path::new("."))).ok()?;
+    Some(folder.join(path.file_name()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_not_written_twice_nor_over_an_input() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = |name: &str| folder.path().join(name).display().to_string();
+        for name in ["p.csv", "g.csv"] {
+            std::fs::write(folder.path().join(name), "x").expect("written");
+        }
+        let check = |more: &[&str]| {
+            let fixed = ["dronepose-eval".to_owned(), file("p.csv"), file("g.csv")];
+            let more = more.iter().map(|&a| a.to_owned());
+            Args::try_parse_from(fixed.into_iter().chain(more)).expect("arguments").to_stdout()
+        };
+        let out = file("out");
+        assert_eq!(check(&["--json", &out, "--html", &file("other")]).ok(), Some(false));
+        assert_eq!(check(&["--json", "-", "--html", &out]).ok(), Some(true));
+        assert_eq!(check(&["--json", "/dev/null", "--html", "/dev/null"]).ok(), Some(false));
+        let refused = |more: &[&str]| check(more).expect_err("refused").to_string();
+        assert!(refused(&["--json", &out, "--html", &out]).ends_with("the file of --json"));
+        assert!(refused(&["--latex", &file("g.csv")]).ends_with("is also the file of GT"));
+        assert!(refused(&["--json", "-", "--latex", "-"]).contains("only one output"));
+        assert!(refused(&["--compare", "-", "--mesh", "-"]).contains("only one input"));
     }
 }

@@ -12,7 +12,7 @@ use clap::Parser;
 
 use crate::cli::args::Args;
 use crate::cli::progress::Bar;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Place, Result, visible};
 use crate::eval::per_sample::write_per_sample;
 use crate::eval::{Cameras, Evaluator, Objects, Outcome, Progress, Request, Silent};
 use crate::io::output::Outputs;
@@ -84,15 +84,15 @@ pub fn run(
         Ok((outcome, printed)) => {
             if !args.quiet {
                 for line in &outcome.evaluation.warnings {
-                    let _ = writeln!(err, "warning: {line}");
+                    let _ = writeln!(err, "warning: {}", visible(line));
                 }
                 for other in &outcome.evaluation.compare {
                     for line in &other.warnings {
-                        let _ = writeln!(err, "warning: {line}");
+                        let _ = writeln!(err, "warning: {}", visible(line));
                     }
                 }
                 for line in &outcome.evaluation.notes {
-                    let _ = writeln!(err, "note: {line}");
+                    let _ = writeln!(err, "note: {}", visible(line));
                 }
             }
             let text = if to_stdout || !args.quiet { printed } else { String::new() };
@@ -100,7 +100,7 @@ pub fn run(
         }
         Err(error) => {
             // If standard error is closed too, nobody is left to tell.
-            let _ = writeln!(err, "error: {error}");
+            let _ = writeln!(err, "error: {}", visible(&error.to_string()));
             1
         }
     }
@@ -268,7 +268,7 @@ fn write_outputs(
     Ok(printed.unwrap_or_else(|| report::table(&report, terminal.width, terminal.color)))
 }
 
-/// [`run`] with the streams of this process. An interrupt (Ctrl-C) removes unfinished outputs.
+/// [`run`] with the streams of this process. An interrupt (Ctrl-C), a hang-up or a request to terminate removes unfinished outputs.
 #[must_use]
 pub fn main_with(args: Vec<OsString>) -> u8 {
     // Fails only if a handler is already there; then that one is in charge.

@@ -448,6 +448,7 @@ impl Evaluator<'_> {
             n_symmetries: self.objects.max_symmetries(),
             bootstrap: self.resamples(),
             seed: request.seed,
+            up: request.up.name().to_owned(),
             strict: request.strict,
         }
     }
@@ -479,8 +480,14 @@ fn worst(scene: Scene<'_>, s: &Samples) -> Vec<WorstSample> {
 
 /// File name without folders and endings.
 fn method_name(path: &str) -> String {
+    if path == "-" {
+        return "stdin".to_owned();
+    }
     let file = path.rsplit(['/', '\\']).next().unwrap_or(path);
     let stem = file.strip_suffix(".gz").unwrap_or(file);
     let stem = stem.rsplit_once('.').map_or(stem, |(stem, _)| stem);
     if stem.is_empty() { file.to_owned() } else { stem.to_owned() }
 }
+
+#[cfg(test)]
+mod tests;

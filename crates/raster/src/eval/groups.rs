@@ -125,20 +125,33 @@ fn ranges(values: &[Option<f64>], step: Option<f64>) -> Vec<f64> {
         return vec![0.0, 1.0];
     }
     let step = step.unwrap_or_else(|| {
-        let raw = ((high - low) / 6.0).max(low.abs().max(high.abs()).max(1e-300) * 1e-9);
+        let largest = low.abs().max(high.abs());
+        let raw = match high / 6.0 - low / 6.0 {
+            0.0 if largest == 0.0 => 1.0,
+            0.0 => largest * 1e-2,
+            spread => spread.max(largest * 1e-9),
+        };
+        let raw = raw.max(1e-300);
         let power = 10_f64.powf(raw.log10().floor());
         let nice = [1.0, 2.0, 5.0, 10.0].into_iter().find(|&k| k * power >= raw * 0.999);
         nice.unwrap_or(10.0) * power
     });
     // Edges as decimal numbers: 0.3, not 0.30000000000000004.
     let digits = (-step.log10().floor()).max(0.0) as usize + 1;
-    let edge = |k: f64| format!("{:.digits$}", k * step).parse().unwrap_or(k * step);
+    let edge = |k: f64| {
+        let edge: f64 = format!("{:.digits$}", k * step).parse().unwrap_or(k * step);
+        edge.clamp(f64::MIN, f64::MAX)
+    };
     let first = (low / step).floor();
     let count = (((high / step).floor() - first) as usize).min(1000) + 1;
     let mut edges: Vec<f64> = (0..=count).map(|k| edge(first + k as f64)).collect();
     // The upper end belongs to the last range where it is the natural limit (180, 90 degrees).
     if edges.len() > 2 && edges[edges.len() - 2] >= high {
         edges.pop();
+    }
+    // A single value that rounding has put on the upper edge.
+    if edges.len() == 2 && edges[1] <= high {
+        edges[1] = edge(first + 2.0);
     }
     edges
 }
@@ -236,6 +249,26 @@ mod tests {
         );
         let one = ranges(&[Some(2.0)], None);
         assert!(one[0] <= 2.0 && one[one.len() - 1] > 2.0, "{one:?}");
+        assert_eq!(one, [2.0, 2.02]);
         assert_eq!(ranges(&[None], None), [0.0, 1.0]);
+        assert_eq!(ranges(&[Some(0.0)], None), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn ranges_of_huge_and_tiny_numbers_are_finite_and_ascend() {
+        for (low, high) in [
+            (-1.7e308, 1.7e308),
+            (1.7e308, 1.7e308),
+            (5e-324, 5e-324),
+            (-5e-324, 1e-310),
+            (-0.0, 0.0),
+            (-3.0, -3.0),
+            (1.0, 1.0 + f64::EPSILON),
+        ] {
+            let edges = ranges(&[Some(low), Some(high)], None);
+            assert!(edges.iter().all(|e| e.is_finite()), "{low} {high}: {edges:?}");
+            assert!(edges.is_sorted_by(|a, b| a < b), "{low} {high}: {edges:?}");
+            assert!(edges[0] <= low && high <= edges[edges.len() - 1], "{low} {high}: {edges:?}");
+        }
     }
 }

@@ -7,7 +7,7 @@ use std::hash::BuildHasher;
 use foldhash::fast::FixedState;
 use hashbrown::HashTable;
 
-use crate::error::{Error, Place, Result, quoted};
+use crate::error::{Error, Place, Result, quoted, shortened};
 use crate::io::table::{PoseTable, Strings, Target};
 use crate::rotation;
 
@@ -161,7 +161,7 @@ fn missing_warning(predictions: &PoseTable, missing: usize, n_gt: usize, names: 
 }
 
 fn examples<'a>(names: impl Iterator<Item = &'a str>, count: usize) -> String {
-    let mut shown = names.take(5).map(ToOwned::to_owned).collect::<Vec<_>>().join(", ");
+    let mut shown = names.take(5).map(|n| shortened(n.as_bytes())).collect::<Vec<_>>().join(", ");
     if count > 5 {
         shown.push_str(", …");
     }

@@ -5,10 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use crate::camera::Intrinsics;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Place, Result, shortened};
+use crate::io::Unit;
 use crate::io::bop::{ObjectInfo, parse_scene_camera, read_models_info};
 use crate::io::input::{Input, InputFile};
-use crate::io::{Unit, read_mesh};
+use crate::io::mesh_file::read_mesh_file;
 use crate::mesh::Mesh;
 use crate::metrics::{Symmetries, VertexSet};
 
@@ -146,15 +147,13 @@ impl Objects {
     }
 
     fn load(&mut self, path: &Path, unit: Unit) -> Result<Arc<MeshModel>> {
-        let mesh = read_mesh(path)?;
+        let (mesh, file) = read_mesh_file(path)?;
+        self.mesh_files.push(file);
         // Dividing rounds once; multiplying by 0.001 would round twice.
         let metres =
             |v: glam::DVec3| glam::DVec3::from_array(v.to_array().map(|c| unit.to_metres(c)));
         let vertices = mesh.vertices().iter().copied().map(metres).collect();
         let mesh = Mesh::new(vertices, mesh.faces().to_vec())?;
-        let format =
-            path.extension().map_or_else(String::new, |e| e.to_string_lossy().to_lowercase());
-        self.mesh_files.push(Input::open(path)?.finish(&format)?);
         let model = MeshModel::new(&mesh)?;
         if !(0.01..=50.0).contains(&model.diagonal) {
             self.warnings.push(format!(
@@ -199,7 +198,7 @@ impl Objects {
         if let Some(info) = of_mesh.or_else(|| infos.values().next().filter(|_| infos.len() == 1)) {
             set_info(&mut self.default, info, &place)?;
         } else if !infos.keys().all(|k| number(k).is_some()) {
-            let keys: Vec<&str> = infos.keys().map(String::as_str).take(12).collect();
+            let keys: Vec<_> = infos.keys().take(12).map(|k| shortened(k.as_bytes())).collect();
             return Err(Error::Mismatch {
                 place,
                 message: format!(
@@ -245,9 +244,8 @@ impl Cameras {
     /// [`Error::Argument`] naming the field; [`Error::Read`], [`Error::Malformed`] for a file.
     pub fn read(text: &str) -> Result<Self> {
         let path = Path::new(text);
-        if !path.exists() && text.contains(',') {
-            let default = Some(Intrinsics::parse(text)?);
-            return Ok(Self { default, text: Some(text.to_owned()), ..Self::default() });
+        if let Some(camera) = Self::from_text(text) {
+            return camera;
         }
         let mut input = Input::open(path)?;
         let bytes = input.read_all(256 << 20)?;
@@ -255,6 +253,17 @@ impl Cameras {
         cameras.text = Some(text.to_owned());
         cameras.file = Some(input.finish("json")?);
         Ok(cameras)
+    }
+
+    /// From `fx,fy,cx,cy,W,H`; `None` if the text is no list, or is the name of a file.
+    #[must_use]
+    pub fn from_text(text: &str) -> Option<Result<Self>> {
+        if !text.contains(',') || Path::new(text).exists() {
+            return None;
+        }
+        let camera = Intrinsics::parse(text);
+        let text = Some(text.to_owned());
+        Some(camera.map(|c| Self { default: Some(c), text, ..Self::default() }))
     }
 
     /// From the bytes of a JSON file, for messages called `name`.

@@ -418,6 +418,8 @@ pub struct Settings {
     pub bootstrap: usize,
     /// Seed of the bootstrap.
     pub seed: u64,
+    /// The model's up axis, which azimuth and elevation refer to: `y` or `z`.
+    pub up: String,
     /// Whether warnings were errors.
     pub strict: bool,
 }

@@ -65,6 +65,17 @@ pub enum Up {
     Z,
 }
 
+impl Up {
+    /// `y` or `z`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Y => "y",
+            Self::Z => "z",
+        }
+    }
+}
+
 /// Azimuth and elevation in degrees of the direction from the model to the camera, in the model
 /// frame; `(0, 0)` where the two coincide.
 #[must_use]

@@ -4,13 +4,14 @@
 //! <https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md>
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::Path;
 
 use serde::Deserialize;
-use serde::de::{Deserializer, MapAccess, Visitor};
+use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
 
-use crate::error::{Error, Place, Result, quoted};
-use crate::io::input::{Input, InputFile};
+use crate::error::{Error, Place, Result, quoted, visible};
+use crate::io::input::{Input, InputFile, MAX_JSON};
 use crate::io::pose_csv::number;
 use crate::io::records::Records;
 use crate::io::table::{Departures, PoseTable, Strings, Target, Unit, row_limit, translation};
@@ -121,12 +122,40 @@ fn numbers<const N: usize>(field: &[u8], place: impl Fn() -> Place) -> Result<[f
     Ok(out)
 }
 
+/// An array of numbers, at most a hundred: a packed file can hold billions.
+pub(crate) struct Numbers(pub(crate) Vec<f64>);
+
+impl<'de> Deserialize<'de> for Numbers {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Few;
+        impl<'de> Visitor<'de> for Few {
+            type Value = Numbers;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("an array of numbers")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Numbers, A::Error> {
+                let mut numbers = Vec::new();
+                while let Some(number) = seq.next_element()? {
+                    if numbers.len() == 100 {
+                        return Err(serde::de::Error::custom("an array of more than 100 numbers"));
+                    }
+                    numbers.push(number);
+                }
+                Ok(Numbers(numbers))
+            }
+        }
+        deserializer.deserialize_seq(Few)
+    }
+}
+
 #[derive(Deserialize)]
 struct GtInstance {
     #[serde(rename = "cam_R_m2c")]
-    r: Vec<f64>,
+    r: Numbers,
     #[serde(rename = "cam_t_m2c")]
-    t: Vec<f64>,
+    t: Numbers,
     obj_id: u32,
     #[serde(default)]
     score: Option<f64>,
@@ -164,7 +193,19 @@ pub(crate) fn json_error(name: &str, e: &serde_json::Error, expected: &str) -> E
     if let Some(at) = found.rfind(" at line") {
         found.truncate(at);
     }
-    Error::malformed(place.column(e.column().to_string()), format!("JSON with {found}"), expected)
+    Error::malformed(
+        place.column(e.column().to_string()),
+        format!("JSON with {}", brief(&found)),
+        expected,
+    )
+}
+
+/// A message that may hold a text of the file, of any length.
+fn brief(message: &str) -> String {
+    match message.char_indices().nth(160) {
+        Some((end, _)) => format!("{}…", visible(&message[..end])),
+        None => visible(message).into_owned(),
+    }
 }
 
 /// Read `scene_gt.json`: `{"image": [{"cam_R_m2c": [9], "cam_t_m2c": [3], "obj_id": 1}]}`.
@@ -175,7 +216,8 @@ pub(crate) fn json_error(name: &str, e: &serde_json::Error, expected: &str) -> E
 /// [`Error::Malformed`] naming image and instance; [`Error::Read`].
 pub fn read_scene_gt(mut input: Input, unit: Unit, scene: Option<u32>) -> Result<PoseTable> {
     let name = input.name.clone();
-    let parsed: Result<InOrder<Vec<GtInstance>>, _> = serde_json::from_reader(&mut input);
+    let parsed: Result<InOrder<Vec<GtInstance>>, _> =
+        serde_json::from_reader((&mut input).take(MAX_JSON));
     let expected = "a BOP scene_gt.json: {\"image id\": [{\"cam_R_m2c\": [9 numbers], \
                     \"cam_t_m2c\": [3 numbers], \"obj_id\": 1}]}";
     let images = parsed.map_err(|e| json_error(&name, &e, expected))?;
@@ -199,15 +241,15 @@ pub fn read_scene_gt(mut input: Input, unit: Unit, scene: Option<u32>) -> Result
             |k: usize, field: &str| Place::file(&table.name).column(format!("{key}[{k}].{field}"));
         let image = whole(key.as_bytes(), || at(0, "image id"))?;
         if !seen.insert(image) {
-            let place = Place::file(&table.name).column(&key);
+            let place = Place::file(&table.name).column(format!("image {key}"));
             return Err(Error::malformed(place, "a duplicate image id", "every image once"));
         }
         for (k, instance) in instances.into_iter().enumerate() {
             row_limit(table.poses.len(), &table.name)?;
-            let r = exactly::<9>(&instance.r, || at(k, "cam_R_m2c"))?;
+            let r = exactly::<9>(&instance.r.0, || at(k, "cam_R_m2c"))?;
             let rows = [[r[0], r[1], r[2]], [r[3], r[4], r[5]], [r[6], r[7], r[8]]];
             let rotation = departures.matrix(rows, || at(k, "cam_R_m2c"))?;
-            let t = exactly::<3>(&instance.t, || at(k, "cam_t_m2c"))?;
+            let t = exactly::<3>(&instance.t.0, || at(k, "cam_t_m2c"))?;
             let t = translation(t, unit, || at(k, "cam_t_m2c"))?;
             table.poses.push(Pose::new(rotation, t));
             targets.push(Target { scene, image, object: instance.obj_id });
@@ -287,7 +329,7 @@ pub fn read_models_info(
             let info: RawInfo = serde_json::from_value(value).map_err(|e| {
                 Error::malformed(
                     Place::file(&name).column(&key),
-                    format!("JSON with {e}"),
+                    format!("JSON with {}", brief(&e.to_string())),
                     expected,
                 )
             })?;
@@ -353,4 +395,69 @@ pub fn parse_scene_camera(bytes: &[u8], name: &str) -> Result<BTreeMap<u32, [f64
         out.insert(whole(key.as_bytes(), at)?, exactly::<9>(&camera.k, at)?);
     }
     Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn infos(text: &str) -> Result<BTreeMap<String, ObjectInfo>> {
+        let input = Input::from_bytes("models_info.json", text.as_bytes().to_vec())?;
+        Ok(read_models_info(input, Unit::Millimetre)?.0)
+    }
+
+    #[test]
+    fn symmetries_are_read_in_metres() {
+        let text = r#"{"5": {"diameter": 100, "size_x": 1,
+            "symmetries_discrete": [[-1,0,0,20, 0,-1,0,0, 0,0,1,0, 0,0,0,1]],
+            "symmetries_continuous": [{"axis": [0,0,2], "offset": [10,0,0]}]}}"#;
+        let info = &infos(text).expect("sound")["5"];
+        assert_eq!(info.diameter, Some(0.1));
+        assert!((info.discrete[0].translation.x - 0.02).abs() < 1e-18);
+        assert_eq!(info.continuous, [(glam::DVec3::Z, glam::DVec3::new(0.01, 0.0, 0.0))]);
+        let single = infos(r#"{"symmetries_continuous": [{"axis": [0,1,0]}]}"#).expect("sound");
+        assert_eq!(single[""].continuous[0].0, glam::DVec3::Y);
+    }
+
+    #[test]
+    fn malformed_symmetries_name_their_entry() {
+        for (text, place) in [
+            (
+                r#"{"5": {"symmetries_discrete": [[1,2,3]]}}"#,
+                "5.symmetries_discrete[0]: found 3 numbers",
+            ),
+            (
+                r#"{"5": {"symmetries_continuous": [{"axis": [0,0,0]}]}}"#,
+                "5.symmetries_continuous[0]: found an axis",
+            ),
+            (r#"{"5": {"diameter": -1}}"#, "5.diameter: found -1"),
+            (r#"{"5": 3}"#, "5: found JSON"),
+            ("[", ":1:"),
+        ] {
+            let error = infos(text).expect_err(text).to_string();
+            assert!(error.starts_with("models_info.json") && error.contains(place), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_folder_names_the_scene() {
+        assert_eq!(scene_of(Path::new("test/000002/scene_gt.json")), Some(2));
+        assert_eq!(scene_of(Path::new("scene_gt.json")), None);
+    }
+
+    #[test]
+    fn a_refusal_is_one_short_line_whatever_the_json_holds() {
+        let long = "x".repeat(10_000);
+        for json in [
+            r#"{"\n\u001b[2J": [{"cam_R_m2c": [], "cam_t_m2c": [], "obj_id": 1}]}"#.to_owned(),
+            format!(r#"{{"{long}": [{{"cam_R_m2c": [], "cam_t_m2c": [], "obj_id": 1}}]}}"#),
+            format!(r#"{{"1": "{long}"}}"#),
+            format!(r#"{{"1": [{{"cam_R_m2c": [{}0"#, "0,".repeat(100)),
+        ] {
+            let input = Input::from_bytes("gt.json", json.into_bytes()).expect("in memory");
+            let error = read_scene_gt(input, Unit::Metre, None).expect_err("refused").to_string();
+            assert!(error.starts_with("gt.json:") && error.len() < 500, "{error}");
+            assert!(!error.contains(char::is_control), "{error:?}");
+        }
+    }
 }

@@ -46,6 +46,9 @@ impl InputFile {
     }
 }
 
+/// JSON of poses beyond this is cut off, and so refused: a packed file may hold any amount.
+pub(crate) const MAX_JSON: u64 = 1 << 30;
+
 const BUFFER: usize = 1 << 18;
 
 /// An open input and what is needed to talk about it.

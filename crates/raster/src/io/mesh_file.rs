@@ -1,13 +1,16 @@
 //! Reading a mesh in whichever of the three formats it is, and what the readers share.
 
-use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
 
 use super::{obj, ply, stl};
 use crate::error::{Error, Place, Result, quoted};
+use crate::io::input::{Input, InputFile};
 use crate::mesh::{LARGEST_COORDINATE, Mesh};
+
+/// A mesh above this is refused: what comes from `/dev/zero` has no end.
+const LARGEST_FILE: u64 = 1 << 30;
 
 /// Reads a mesh: Wavefront OBJ, PLY or STL, by the file's extension and, where that is none of
 /// these, by how the content begins.
@@ -17,18 +20,34 @@ use crate::mesh::{LARGEST_COORDINATE, Mesh};
 /// # Errors
 /// [`Error::Read`], [`Error::Malformed`] with the line, vertex or face, and what was expected.
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
-    let bytes = fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
+    read_mesh_file(path).map(|(mesh, _)| mesh)
+}
+
+/// As [`read_mesh`], with the record of the file. It is read once, so it may be a pipe; gzip is
+/// unpacked.
+///
+/// # Errors
+/// As [`read_mesh`].
+pub fn read_mesh_file(path: &Path) -> Result<(Mesh, InputFile)> {
+    let mut input = Input::open(path)?;
+    let bytes = input.read_all(LARGEST_FILE)?;
     let name = path.display().to_string();
-    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-    match extension.as_deref() {
-        Some("obj") => obj::parse_obj(&bytes, &name),
-        Some("ply") => ply::parse_ply(&bytes, &name),
-        Some("stl") => stl::parse_stl(&bytes, &name),
-        _ if ply::looks_like(&bytes) => ply::parse_ply(&bytes, &name),
-        _ if stl::looks_like(&bytes) => stl::parse_stl(&bytes, &name),
-        _ if obj::looks_like(&bytes) => obj::parse_obj(&bytes, &name),
-        _ => Err(not_a(&bytes, &name, "a mesh in the format OBJ, PLY or STL")),
-    }
+    let unpacked = match path.extension() {
+        Some(gz) if gz.eq_ignore_ascii_case("gz") => path.file_stem().map(Path::new),
+        _ => Some(path),
+    };
+    let extension =
+        unpacked.and_then(Path::extension).map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let (mesh, format) = match extension.as_deref() {
+        Some("obj") => (obj::parse_obj(&bytes, &name), "obj"),
+        Some("ply") => (ply::parse_ply(&bytes, &name), "ply"),
+        Some("stl") => (stl::parse_stl(&bytes, &name), "stl"),
+        _ if ply::looks_like(&bytes) => (ply::parse_ply(&bytes, &name), "ply"),
+        _ if stl::looks_like(&bytes) => (stl::parse_stl(&bytes, &name), "stl"),
+        _ if obj::looks_like(&bytes) => (obj::parse_obj(&bytes, &name), "obj"),
+        _ => return Err(not_a(&bytes, &name, "a mesh in the format OBJ, PLY or STL")),
+    };
+    Ok((mesh?, input.finish(format)?))
 }
 
 /// The error for content that is not of the format at all.
@@ -168,6 +187,7 @@ pub(crate) mod shared {
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "that results are exact is what is tested")]
 mod tests {
+    use std::fs;
     use std::time::Instant;
 
     use super::*;
@@ -220,6 +240,31 @@ mod tests {
         let path = folder.path().join("UPPER.OBJ");
         fs::write(&path, b"v 0 0 0").expect("written");
         assert!(read_mesh(&path).is_ok());
+    }
+
+    #[test]
+    fn a_packed_mesh_is_read() {
+        use std::io::Write as _;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.obj.gz");
+        let file = fs::File::create(&path).expect("created");
+        let mut gz = flate2::write::GzEncoder::new(file, flate2::Compression::fast());
+        gz.write_all(b"v 0 0 0\nv 1 0 0\n").expect("written");
+        let size = gz.finish().expect("written").metadata().expect("there").len();
+        let (mesh, file) = read_mesh_file(&path).expect("valid");
+        assert_eq!((mesh.vertices().len(), file.bytes, file.format.as_str()), (2, size, "obj"));
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn a_pipe_is_read_once() {
+        use std::io::Write as _;
+        let (reader, mut writer) = std::io::pipe().expect("a pipe");
+        writer.write_all(b"v 0 0 0\nv 1 0 0\n").expect("written");
+        drop(writer);
+        let fd = std::os::fd::AsRawFd::as_raw_fd(&reader);
+        let (mesh, file) = read_mesh_file(Path::new(&format!("/dev/fd/{fd}"))).expect("valid");
+        assert_eq!((mesh.vertices().len(), file.bytes), (2, 16));
     }
 
     #[test]

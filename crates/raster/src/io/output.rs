@@ -54,7 +54,7 @@ impl Outputs {
             _ => {}
         }
         // A symbolic link keeps pointing where it did: the file behind it is replaced.
-        let target = &std::fs::canonicalize(target).unwrap_or_else(|_| target.to_owned());
+        let target = &behind_links(target);
         let folder = match target.parent() {
             Some(p) if !p.as_os_str().is_empty() => p,
             _ => Path::new("."),
@@ -69,7 +69,12 @@ impl Outputs {
             // As for any new file: the process's umask is applied to this.
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
-        let file = builder.tempfile_in(folder).map_err(fail)?;
+        let file = builder.tempfile_in(folder).map_err(|e| {
+            // Without the name of the file beside the target, which nobody asked for.
+            let text = e.to_string();
+            let text = text.split(" at path ").next().unwrap_or_default();
+            fail(io::Error::new(e.kind(), text))
+        })?;
         let (file, path) = file.into_parts();
         UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner).push(path.to_path_buf());
         let mut writer = BufWriter::with_capacity(1 << 18, file);
@@ -90,6 +95,20 @@ impl Outputs {
         }
         Ok(())
     }
+}
+
+/// The file that a path stands for, there or not yet.
+fn behind_links(path: &Path) -> PathBuf {
+    if let Ok(file) = std::fs::canonicalize(path) {
+        return file;
+    }
+    let mut file = path.to_owned();
+    // As many as the kernel follows; a circle of links ends as one of them.
+    for _ in 0..40 {
+        let Ok(link) = std::fs::read_link(&file) else { break };
+        file = file.parent().unwrap_or(Path::new("")).join(link);
+    }
+    file
 }
 
 #[cfg(test)]
@@ -128,6 +147,34 @@ mod tests {
         assert!(failed.expect_err("refused").to_string().contains("full"));
         drop(outputs);
         assert!(names(folder.path()).is_empty(), "{:?}", names(folder.path()));
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_link_keeps_pointing_where_it_did() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("old"), "old").expect("writable");
+        for (link, to) in [("a", "old"), ("b", "new"), ("c", "b2"), ("b2", "later")] {
+            std::os::unix::fs::symlink(to, at(link)).expect("a link");
+        }
+        let mut outputs = Outputs::default();
+        for link in ["a", "b", "c"] {
+            outputs.write(&at(link), |w| w.write_all(b"x")).expect("writable");
+        }
+        outputs.commit().expect("renamed");
+        for file in ["old", "new", "later"] {
+            assert_eq!(std::fs::read_to_string(at(file)).expect("there"), "x");
+        }
+        assert!(["a", "b", "c", "b2"].into_iter().all(|l| at(l).is_symlink()));
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_named_as_the_user_did() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let target = folder.path().join("none").join("a");
+        let error = Outputs::default().write(&target, |_| Ok(())).expect_err("refused").to_string();
+        assert!(error.ends_with("a: No such file or directory (os error 2)"), "{error}");
     }
 
     #[test]

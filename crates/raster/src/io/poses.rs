@@ -132,3 +132,96 @@ fn append(all: &mut PoseTable, more: PoseTable) {
     // The digest of a folder is that of its files' digests in order.
     all.source = all.source.joined(&more.source);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rotation;
+
+    fn parse(text: &str, format: Format) -> Result<PoseTable> {
+        let options = PoseOptions { format, ..PoseOptions::default() };
+        parse_poses("x", text.as_bytes().to_vec(), &options)
+    }
+
+    fn refused(text: &str, format: Format) -> String {
+        parse(text, format).expect_err("malformed").to_string()
+    }
+
+    /// A quarter turn about z, 2 m in front of the camera, in every format.
+    const QUARTER: [&str; 7] = [
+        "id,qw,qx,qy,qz,tx,ty,tz\n7,1,0,0,1,0,0,2\n",
+        "tz,ty,tx,rz,ry,rx,id\n2,0,0,1.5707963267948966,0,0,7\n",
+        "id,r11,r12,r13,r21,r22,r23,r31,r32,r33,tx,ty,tz\n7,0,-1,0,1,0,0,0,0,1,0,0,2\n",
+        "scene_id,im_id,obj_id,score,R,t,time\n1,7,1,0.5,0 -1 0 1 0 0 0 0 1,0 0 2000,-1\n",
+        "{\"7\": [{\"cam_R_m2c\": [0,-1,0,1,0,0,0,0,1], \"cam_t_m2c\": [0,0,2000], \"obj_id\": 1}]}",
+        "img7.jpg,1,0,0,1,0,0,2\n",
+        "[{\"filename\": \"7\", \"q_vbs2tango_true\": [1,0,0,1], \"r_Vo2To_vbs_true\": [0,0,2]}]",
+    ];
+
+    #[test]
+    fn every_format_is_recognised_and_means_the_same() {
+        let quarter = rotation::from_axis_angle([0.0, 0.0, 0.5 * std::f64::consts::PI]);
+        let quarter = quarter.expect("finite");
+        for text in QUARTER {
+            let table = parse(text, Format::Auto).expect(text);
+            assert!(rotation::angle(table.poses[0].rotation, quarter) < 1e-15, "{text}");
+            assert!((table.poses[0].translation.z - 2.0).abs() < 1e-15, "{text}");
+            assert_eq!(table.len(), 1);
+        }
+    }
+
+    #[test]
+    fn a_headerless_row_is_no_csv_but_may_be_a_submission() {
+        let row = "frame7,1,0,0,1,0,0,2\n";
+        assert!(refused(row, Format::Auto).contains("header"));
+        assert_eq!(parse(row, Format::Speed).expect("eight fields").id(0), "frame7");
+    }
+
+    #[test]
+    fn units_are_those_of_the_format_or_as_asked() {
+        let options = PoseOptions { unit: Some(Unit::Metre), ..PoseOptions::default() };
+        let bop = parse_poses("x", QUARTER[3].as_bytes().to_vec(), &options).expect("sound");
+        assert!((bop.poses[0].translation.z - 2000.0).abs() < 1e-12);
+        let options = PoseOptions { unit: Some(Unit::Millimetre), ..PoseOptions::default() };
+        let csv = parse_poses("x", QUARTER[0].as_bytes().to_vec(), &options).expect("sound");
+        assert!((csv.poses[0].translation.z - 0.002).abs() < 1e-18);
+    }
+
+    #[test]
+    fn json_refusals_say_where() {
+        let gt = |r: &str, t: &str| {
+            format!("{{\"3\": [{{\"cam_R_m2c\": {r}, \"cam_t_m2c\": {t}, \"obj_id\": 1}}]}}")
+        };
+        let text = refused(&gt("[1,0,0,0,1,0,0,0,2]", "[0,0,1]"), Format::Auto);
+        assert!(
+            text.starts_with("x:3[0].cam_R_m2c: found a matrix that is not orthonormal"),
+            "{text}"
+        );
+        let text = refused(&gt("[1,0,0,0,1,0,0,0,1]", "[0,0]"), Format::Auto);
+        assert!(text.starts_with("x:3[0].cam_t_m2c: found 2 numbers, expected 3"), "{text}");
+        let text = refused("{\"3\": [\n{\"obj_id\": nan}]}", Format::Auto);
+        assert!(text.starts_with("x:2:"), "{text}");
+        let text =
+            refused("[{\"filename\": \"a\", \"q\": [0,0,0,0], \"r\": [0,0,1]}]", Format::Auto);
+        assert!(text.starts_with("x:[0].q: found a quaternion of zero norm"), "{text}");
+        let twice = "{\"3\": [], \"3\": []}";
+        assert!(refused(twice, Format::Auto).contains("duplicate image id"));
+        assert!(refused("{}", Format::Auto).contains("no pose"));
+        assert!(refused("[] x", Format::Auto).contains("trailing"));
+    }
+
+    #[test]
+    fn a_folder_of_scenes_is_one_table() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for scene in ["000002", "000001"] {
+            let scene = folder.path().join(scene);
+            std::fs::create_dir(&scene).expect("writable");
+            std::fs::write(scene.join("scene_gt.json"), QUARTER[4]).expect("writable");
+        }
+        let table = read_poses(folder.path(), &PoseOptions::default()).expect("two scenes");
+        assert_eq!([table.id(0), table.id(1)], ["1/7/1", "2/7/1"]);
+        let empty = tempfile::tempdir().expect("a folder");
+        let error = read_poses(empty.path(), &PoseOptions::default()).expect_err("no scene");
+        assert!(error.to_string().contains("directory"), "{error}");
+    }
+}

@@ -4,13 +4,14 @@
 //! are the rotation `cam_from_model`; `r_Vo2To_vbs_true` is the translation in metres.
 //! Kisantal et al., "Satellite Pose Estimation Challenge", 2020; Park et al., "SPEED+", 2022.
 
+use std::io::Read;
+
 use serde::Deserialize;
 use serde::de::{Deserializer, SeqAccess, Visitor};
 
 use crate::error::{Error, Place, Result};
-use crate::io::bop::json_error;
-use crate::io::input::Input;
-use crate::io::input::InputFile;
+use crate::io::bop::{Numbers, json_error};
+use crate::io::input::{Input, InputFile, MAX_JSON};
 use crate::io::pose_csv::{number, read_id};
 use crate::io::records::Records;
 use crate::io::table::{Departures, PoseTable, Strings, Unit, row_limit, translation};
@@ -121,9 +122,9 @@ pub fn read_speed_csv(input: Input, unit: Unit) -> Result<PoseTable> {
 struct Label {
     filename: String,
     #[serde(alias = "q_vbs2tango", alias = "q_vbs2tango_true")]
-    q: Vec<f64>,
+    q: Numbers,
     #[serde(alias = "r_Vo2To_vbs_true", alias = "r_Vo2To_vbs")]
-    r: Vec<f64>,
+    r: Numbers,
 }
 
 /// Read JSON labels (`q_vbs2tango`, `q_vbs2tango_true`) or a JSON submission (`q`, `r`).
@@ -136,7 +137,7 @@ pub fn read_speed_json(mut input: Input, unit: Unit) -> Result<PoseTable> {
     let mut rows = Rows::new(&input.name, unit);
     let name = input.name.clone();
     let mut refused = None;
-    let mut deserializer = serde_json::Deserializer::from_reader(&mut input);
+    let mut deserializer = serde_json::Deserializer::from_reader((&mut input).take(MAX_JSON));
     let mut count = 0_usize;
     let parsed = Labels(&mut |label: Label| {
         let at = |what: &str| Place::file(&name).column(format!("[{count}].{what}"));
@@ -160,8 +161,8 @@ fn label_row(label: &Label, at: impl Fn(&str) -> Place) -> Result<([f64; 4], [f6
     if label.filename.is_empty() {
         return Err(Error::malformed(at("filename"), "an empty id", "a file name"));
     }
-    let q = label.q.as_slice().try_into().map_err(|_| wrong("q", label.q.len(), "4"))?;
-    let t = label.r.as_slice().try_into().map_err(|_| wrong("r", label.r.len(), "3"))?;
+    let q = label.q.0.as_slice().try_into().map_err(|_| wrong("q", label.q.0.len(), "4"))?;
+    let t = label.r.0.as_slice().try_into().map_err(|_| wrong("r", label.r.0.len(), "3"))?;
     Ok((q, t))
 }
 

@@ -306,7 +306,11 @@ impl Departures {
         let norm2: f64 = q.iter().map(|c| c * c).sum();
         // |norm - 1| > 1e-3, without the square root in the common case.
         if (norm2 - 1.0).abs() > 2e-3 {
-            let norm = norm2.sqrt();
+            // The squares may have overflowed.
+            let largest = q.iter().fold(0.0_f64, |m, c| m.max(c.abs()));
+            let scaled = q.map(|c| c / largest);
+            let norm = largest * scaled.iter().map(|c| c * c).sum::<f64>().sqrt();
+            let norm = norm.min(f64::MAX);
             self.unnormalised += 1;
             if self.norm_place.is_none() || (norm - 1.0).abs() > (self.worst_norm - 1.0).abs() {
                 self.worst_norm = norm;
@@ -347,9 +351,15 @@ impl Departures {
             ));
         }
         if let Some(place) = &self.norm_place {
+            let norm = self.worst_norm;
+            let norm = if (1e-3..1e6).contains(&norm) {
+                format!("{norm:.6}")
+            } else {
+                format!("{norm:.3e}")
+            };
             out.push(format!(
-                "{place}: quaternion of norm {:.6} here ({} of them off by more than 1e-3); each was normalised",
-                self.worst_norm, self.unnormalised
+                "{place}: quaternion of norm {norm} here ({} of them off by more than 1e-3); each was normalised",
+                self.unnormalised
             ));
         }
         out
@@ -387,4 +397,24 @@ pub(crate) fn row_limit(rows: usize, name: &str) -> Result<()> {
         return Ok(());
     }
     Err(Error::malformed(Place::file(name), "more than 4,294,967,295 rows", "fewer rows"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_norm_of_a_huge_quaternion_is_reported_as_it_is() {
+        for (q, shown) in [
+            ([1e300, 0.0, 0.0, 1e300], "norm 1.414e300 here (1 of them"),
+            ([f64::MAX, 0.0, 0.0, f64::MAX], "norm 1.798e308 here (1 of them"),
+            ([3e-10, 0.0, 4e-10, 0.0], "norm 5.000e-10 here (1 of them"),
+            ([0.0, 2.0, 0.0, 0.0], "norm 2.000000 here (1 of them"),
+        ] {
+            let mut departures = Departures::default();
+            departures.quat_wxyz(q, || Place::line("a.csv", 2)).expect("a rotation");
+            let warnings = departures.warnings();
+            assert!(warnings[0].contains(shown), "{warnings:?}");
+        }
+    }
 }

@@ -18,6 +18,17 @@ pub(super) enum Key {
     Add(String),
 }
 
+impl Key {
+    /// Key of the difference between two methods.
+    pub(super) fn of_difference(&self) -> String {
+        match self {
+            Self::Mean(key) => (*key).to_owned(),
+            Self::Acc(x) => format!("acc_{x}"),
+            Self::Add(k) => format!("add_recall_{k}"),
+        }
+    }
+}
+
 /// A column of the main table.
 #[derive(Debug, Clone)]
 pub(super) struct Column {
@@ -185,6 +196,11 @@ const RECALLS: [(&str, &str, &str); 3] = [
     ("add_recall_", "6D Pose-", ""),
     ("adds_recall_", "ADD-S recall at ", " %"),
 ];
+
+/// The key of a difference is that of a recall: more is better.
+pub(super) fn is_recall(key: &str) -> bool {
+    RECALLS.iter().any(|r| key.starts_with(r.0))
+}
 
 /// A name with its unit: `TE (cm)`.
 pub(super) fn titled(name: &str, unit: &str) -> String {

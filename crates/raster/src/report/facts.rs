@@ -81,7 +81,7 @@ pub(super) fn scores(m: &Metrics) -> Vec<(String, String, String)> {
     }
     if let Some(s) = m.speedplus {
         let remark = format!(
-            "position {} + orientation {} rad; counted as zero: {} and {}",
+            "position {} + orientation {} rad; counted as zero: {} NPE, {} OE",
             significant(s.e_t),
             significant(s.e_q_rad),
             count(s.zeroed_t),
@@ -179,6 +179,7 @@ pub(super) fn settings(e: &Evaluation) -> Vec<(&'static str, String)> {
     out.push(("symmetry transforms", count(s.n_symmetries)));
     out.push(("bootstrap resamples", count(s.bootstrap)));
     out.push(("seed", s.seed.to_string()));
+    out.push(("up axis of the model", s.up.clone()));
     out.push(("strict", if s.strict { "yes" } else { "no" }.to_owned()));
     out.push(("version", e.version.to_owned()));
     out

@@ -361,6 +361,7 @@ fn evaluation(name: &str, s: &Samples, n_gt: usize, mesh: bool) -> Evaluation {
             add_reference: "bbox-diagonal".into(),
             camera: mesh.then(|| "240.9,240.9,160,120,320,240".into()),
             n_symmetries: 1,
+            up: "z".into(),
             bootstrap: 10_000,
             seed: 0,
             strict: false,

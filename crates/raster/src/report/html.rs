@@ -4,7 +4,7 @@ mod tables;
 
 use std::fmt::Write as _;
 
-use super::columns::{Column, Key, columns, label, ordered_differences, summary, titled};
+use super::columns::{Column, columns, is_recall, label, ordered_differences, summary, titled};
 use super::number::{ABSENT, aligned, count, fixed, optional, p_value, percent, signed};
 use super::{Report, Scored, facts, plots};
 use crate::eval::Difference;
@@ -188,22 +188,25 @@ fn cell(out: &mut String, c: &Column, s: &Scored<'_>, all: &[Scored<'_>]) {
         let (a, b) = (aligned(a, decimals), aligned(b, decimals));
         let _ = write!(out, "<span class=\"ci\">{a}–<wbr>{b}</span>");
     }
-    let Key::Mean(key) = c.key else {
-        out.push_str("</td>");
-        return;
-    };
-    if let Some(d) = s.comparison.and_then(|c| c.difference.get(key)) {
-        let class = verdict(d).0;
+    let key = c.key.of_difference();
+    if let Some(d) = s.comparison.and_then(|c| c.difference.get(&key)) {
+        let class = verdict(d, &key).0;
         let _ = write!(out, "<span class=\"ci {class}\">{}</span>", minus(&signed(d.mean)));
     }
     out.push_str("</td>");
 }
 
-/// Class and word for a difference of errors, this method minus the first.
-fn verdict(d: &Difference) -> (&'static str, &'static str) {
+/// Class and word for a difference, this method minus the first: of errors, for which less is
+/// better, or of recalls, for which more is.
+fn verdict(d: &Difference, key: &str) -> (&'static str, &'static str) {
+    let (lower, higher) = if is_recall(key) {
+        (("worse", "worse"), ("better", "better"))
+    } else {
+        (("better", "better"), ("worse", "worse"))
+    };
     match d.ci95 {
-        Some([_, b]) if b < 0.0 => ("better", "better"),
-        Some([a, _]) if a > 0.0 => ("worse", "worse"),
+        Some([_, b]) if b < 0.0 => lower,
+        Some([a, _]) if a > 0.0 => higher,
         Some(_) => ("", "not shown to differ"),
         None => ("", ABSENT),
     }
@@ -240,8 +243,8 @@ fn differences(out: &mut String, report: &Report<'_>, all: &[Scored<'_>]) {
     let _ = write!(
         out,
         "<section>\n<h2>Differences to {}</h2>\n<p class=\"soft\">Mean of the paired differences \
-         over the samples that both predict; below zero is better than {0}. The whiskers are \
-         95 % intervals relative to the mean of {0}, from −{1} % to +{1} %.</p>\n\
+         over the samples that both predict, and of recalls in percent of the ground truth. Less error \
+         and more recall is better than {0}. The whiskers are 95 % intervals relative to the mean of {0}, from −{1} % to +{1} %.</p>\n\
          <div class=\"table\"><table><thead><tr><th class=\"l\">Method</th><th class=\"l\">Mean \
          of</th><th>Difference</th><th>95 % CI</th><th class=\"l\">Relative</th><th>p</th>\
          <th>Samples</th><th class=\"l\">Verdict</th></tr></thead><tbody>\n",
@@ -257,7 +260,7 @@ fn differences(out: &mut String, report: &Report<'_>, all: &[Scored<'_>]) {
             || ABSENT.to_owned(),
             |[a, b]| format!("{} to {}", minus(&signed(a * f)), minus(&signed(b * f))),
         );
-        let (class, word) = verdict(d);
+        let (class, word) = verdict(d, key);
         let _ = writeln!(
             out,
             "<tr><td class=\"name\">{method}</td><td class=\"l\">{}</td><td>{}</td><td>{ci}</td>\

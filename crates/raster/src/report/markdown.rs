@@ -168,7 +168,7 @@ fn worst(out: &mut String, worst: &[WorstSample]) {
     if worst.is_empty() {
         return;
     }
-    out.push_str("## Worst samples by CPE\n\n");
+    out.push_str("## Worst predictions by CPE\n\n");
     let rows: Vec<_> = worst
         .iter()
         .map(|w| {

@@ -237,7 +237,7 @@ impl Printer {
         if worst.is_empty() {
             return;
         }
-        self.title("Worst samples by CPE");
+        self.title("Worst predictions by CPE");
         let lines = worst.iter().take(WORST).any(|w| w.line.is_some());
         let mut head = vec!["Sample".to_owned()];
         head.extend(lines.then(|| "line".to_owned()));

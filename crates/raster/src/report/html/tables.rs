@@ -100,7 +100,7 @@ pub(super) fn worst(out: &mut String, worst: &[WorstSample]) {
     if worst.is_empty() {
         return;
     }
-    out.push_str("<section>\n<h2>Worst samples by CPE</h2>\n");
+    out.push_str("<section>\n<h2>Worst predictions by CPE</h2>\n");
     let head = ["Sample", "Line", "CPE", "NPE", "OE (deg)", "TE (cm)", "ADD (cm)", "Distance (m)"];
     let rows = worst.iter().map(|w| {
         let mut row = vec![escape(&w.id), w.line.map_or_else(String::new, |l| l.to_string())];
