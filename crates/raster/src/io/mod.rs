@@ -4,6 +4,7 @@
 pub mod bop;
 pub mod input;
 pub mod mesh_file;
+mod mesh_text;
 pub mod obj;
 pub mod output;
 pub mod ply;

@@ -10,7 +10,7 @@
 use std::fmt::Write as _;
 use std::io::BufReader;
 
-use super::mesh_file::{fields, lines, not_a, position, triangulate};
+use super::mesh_text::{fields, lines, not_a, position, triangulate};
 use crate::error::{Error, Place, Result, quoted};
 use crate::mesh::Mesh;
 

@@ -8,7 +8,7 @@ mod header;
 use glam::DVec3;
 
 use self::header::{Element, Encoding, Header, Property, Role, Type, split_line};
-use super::mesh_file::{fields, in_range, lines, number, triangulate};
+use super::mesh_text::{fields, in_range, lines, number, triangulate};
 use crate::error::{Error, Place, Result, quoted};
 use crate::mesh::Mesh;
 

@@ -4,7 +4,7 @@
 
 use glam::DVec3;
 
-use super::mesh_file::{fields, in_range, lines, not_a, position};
+use super::mesh_text::{fields, in_range, lines, not_a, position};
 use crate::error::{Error, Place, Result, quoted};
 use crate::mesh::Mesh;
 

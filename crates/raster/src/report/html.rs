@@ -5,6 +5,7 @@ mod tables;
 use std::fmt::Write as _;
 
 use super::columns::{Column, columns, is_recall, label, ordered_differences, summary, titled};
+use super::escape::escape;
 use super::number::{ABSENT, aligned, count, fixed, optional, p_value, percent, signed};
 use super::{Report, Scored, facts, plots};
 use crate::eval::Difference;
@@ -54,23 +55,6 @@ pub fn html(report: &Report<'_>) -> String {
         escape(e.version),
         escape(e.schema),
     );
-    out
-}
-
-/// Text that HTML shows as it is, in elements and in quoted attributes.
-pub(super) fn escape(s: &str) -> String {
-    let mut out = String::with_capacity(s.len());
-    for c in s.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c if c.is_control() => out.push(char::REPLACEMENT_CHARACTER),
-            c => out.push(c),
-        }
-    }
     out
 }
 

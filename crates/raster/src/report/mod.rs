@@ -8,6 +8,7 @@
 //! All text that comes from the user (ids, file names, columns) is escaped for its format.
 
 mod columns;
+mod escape;
 mod facts;
 #[cfg(test)]
 mod fixture;

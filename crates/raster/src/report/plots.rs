@@ -8,7 +8,7 @@ mod heat;
 use std::fmt::Write as _;
 
 use super::columns::keys;
-use super::html::escape;
+use super::escape::escape;
 use super::number::{count, percent, short};
 use super::svg::{Axis, Chart};
 use super::{Method, Report, facts};

@@ -5,7 +5,7 @@
 
 use std::fmt::Write as _;
 
-use super::html::escape;
+use super::escape::escape;
 
 const WIDTH: f64 = 520.0;
 const HEIGHT: f64 = 310.0;

@@ -1,6 +1,6 @@
 //! The header of a PLY file: which elements follow, with which properties, in which encoding.
 
-use super::super::mesh_file::{fields, not_a};
+use super::super::mesh_text::{fields, not_a};
 use super::EXPECTED;
 use crate::error::{Error, Place, Result, quoted};
 

@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::escape;
 use crate::eval::{Breakdown, Evaluation, WorstSample};
 use crate::report::columns::{SUMMARIES, group_keys, label, summary, titled};
+use crate::report::escape::escape;
 use crate::report::number::{count, fixed, optional, percent, significant};
 use crate::report::{Scored, facts};
 
