@@ -192,9 +192,30 @@ fn nearest_rotation(mut m: DMat3, mut departure: f64) -> DQuat {
         m = (m + DMat3::from_cols(bc, ca, ab) * a.dot(bc).recip()) * 0.5;
         departure = 2.25 * departure.powi(2);
     }
+    let q = quaternion(m).normalize();
     // Of the two signs the one with w >= 0, so that equal matrices give equal quaternions.
-    let q = DQuat::from_mat3(&m).normalize();
     if q.w < 0.0 { -q } else { q }
+}
+
+/// The quaternion of a rotation matrix times four times its largest component (Shepperd's method,
+/// without the root: the caller normalises).
+fn quaternion(m: DMat3) -> DQuat {
+    let (x, y, z) = (m.x_axis, m.y_axis, m.z_axis);
+    if z.z <= 0.0 {
+        let (difference, one) = (y.y - x.x, 1.0 - z.z);
+        if difference <= 0.0 {
+            DQuat::from_xyzw(one - difference, x.y + y.x, x.z + z.x, y.z - z.y)
+        } else {
+            DQuat::from_xyzw(x.y + y.x, one + difference, y.z + z.y, z.x - x.z)
+        }
+    } else {
+        let (sum, one) = (y.y + x.x, 1.0 + z.z);
+        if sum <= 0.0 {
+            DQuat::from_xyzw(x.z + z.x, y.z + z.y, one - sum, x.y - y.x)
+        } else {
+            DQuat::from_xyzw(y.z - z.y, z.x - x.z, x.y - y.x, one + sum)
+        }
+    }
 }
 
 /// Angle between two rotations in radians, in `[0, π]`: `2 atan2(|v|, |w|)` of the relative
