@@ -117,7 +117,7 @@ def microseconds(work: Callable[[], Array], count: int, repetitions: int) -> tup
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mesh", type=Path, help="OBJ file (metres); a made-up drone without it")
-    parser.add_argument("--poses", type=int, default=2000)
+    parser.add_argument("--poses", type=int, default=10000)
     parser.add_argument("--json", type=Path, help="write the numbers here too")
     options = parser.parse_args()
     points = vertices(options.mesh)
