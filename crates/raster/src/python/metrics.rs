@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::mesh::{PyMesh, points};
 use crate::camera::Intrinsics;
-use crate::metrics::{self, Symmetries};
+use crate::metrics::{self, Symmetries, VertexSet};
 use crate::rotation::{self, NOTABLE_DEPARTURE, NotARotation, SixD};
 use crate::{Error, Pose, threads};
 
@@ -301,6 +301,19 @@ pub(super) fn symmetric_orientation_error<'py>(
     Ok(py.detach(|| map_rows(threads, est.len(), error))?.into_pyarray(py))
 }
 
+/// Run `work` on the vertices of a mesh, without the GIL and on the pool of this process.
+fn on_vertices<T: Send>(
+    py: Python<'_>,
+    mesh: &PyMesh,
+    threads: usize,
+    work: impl FnOnce(&VertexSet) -> T + Send,
+) -> crate::Result<T> {
+    py.detach(|| {
+        let set = mesh.vertex_set()?;
+        threads::install(threads, || work(set))
+    })
+}
+
 /// `(N,)` metres.
 #[pyfunction]
 pub(super) fn add<'py>(
@@ -313,11 +326,7 @@ pub(super) fn add<'py>(
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
-    let mesh = &*mesh;
-    let errors = py.detach(|| -> crate::Result<_> {
-        let set = mesh.vertex_set()?;
-        threads::install(threads, || metrics::add_batch(set, &est, &gt))?
-    })?;
+    let errors = on_vertices(py, &mesh, threads, |set| metrics::add_batch(set, &est, &gt))??;
     Ok(errors.into_pyarray(py))
 }
 
@@ -333,11 +342,7 @@ pub(super) fn adds<'py>(
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
-    let mesh = &*mesh;
-    let errors = py.detach(|| -> crate::Result<_> {
-        let set = mesh.vertex_set()?;
-        threads::install(threads, || metrics::adds_batch(set, &est, &gt))?
-    })?;
+    let errors = on_vertices(py, &mesh, threads, |set| metrics::adds_batch(set, &est, &gt))??;
     Ok(errors.into_pyarray(py))
 }
 
@@ -355,9 +360,7 @@ pub(super) fn add_passes<'py>(
 ) -> PyResult<Array1Of<'py>> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let thresholds = thresholds_m.as_slice()?.to_vec();
-    let mesh = &*mesh;
-    let counts = py.detach(|| -> crate::Result<Vec<f64>> {
-        let set = mesh.vertex_set()?;
+    let counts: Vec<f64> = on_vertices(py, &mesh, threads, |set| {
         let passes = |threshold: f64| {
             (0..est.len())
                 .into_par_iter()
@@ -365,7 +368,7 @@ pub(super) fn add_passes<'py>(
                 .filter(|&i| metrics::add_below(set, &est[i], &gt[i], threshold))
                 .count() as f64
         };
-        threads::install(threads, || thresholds.iter().map(|&t| passes(t)).collect())
+        thresholds.iter().map(|&t| passes(t)).collect()
     })?;
     Ok(counts.into_pyarray(py))
 }
@@ -383,11 +386,9 @@ pub(super) fn mssd<'py>(
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
-    let (mesh, transforms) = (&*mesh, symmetries.0.transforms());
-    let errors = py.detach(|| -> crate::Result<_> {
-        let set = mesh.vertex_set()?;
-        threads::install(threads, || metrics::mssd_batch(set, &est, &gt, transforms))?
-    })?;
+    let transforms = symmetries.0.transforms();
+    let batch = |set: &VertexSet| metrics::mssd_batch(set, &est, &gt, transforms);
+    let errors = on_vertices(py, &mesh, threads, batch)??;
     Ok(errors.into_pyarray(py))
 }
 
@@ -412,13 +413,9 @@ pub(super) fn projection<'py>(
         height: Some(height),
         ..Intrinsics::new(fx, fy, cx, cy)?
     };
-    let (mesh, transforms) = (&*mesh, symmetries.0.transforms());
-    let errors = py.detach(|| -> crate::Result<_> {
-        let set = mesh.vertex_set()?;
-        threads::install(threads, || {
-            metrics::projection_batch(set, &est, &gt, transforms, &camera)
-        })?
-    })?;
+    let transforms = symmetries.0.transforms();
+    let batch = |set: &VertexSet| metrics::projection_batch(set, &est, &gt, transforms, &camera);
+    let errors = on_vertices(py, &mesh, threads, batch)??;
     let (mspd, proj): (Vec<f64>, Vec<f64>) = errors.iter().map(|e| (e.mspd, e.proj)).unzip();
     Ok((mspd.into_pyarray(py), proj.into_pyarray(py)))
 }
