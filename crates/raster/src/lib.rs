@@ -5,7 +5,7 @@
 //! order (`quat_wxyz`, `quat_xyzw`).
 //!
 //! Layers, each of which knows only those before it: `error rotation pose camera mesh`, then
-//! `metrics`, then `io`, then `eval`, then `report`, then `cli` and `python`.
+//! `raster` and `metrics`, then `io`, then `eval`, then `report`, then `cli` and `python`.
 
 pub mod camera;
 #[cfg(feature = "cli")]
@@ -18,6 +18,7 @@ pub mod metrics;
 pub mod pose;
 #[cfg(feature = "python")]
 mod python;
+pub mod raster;
 pub mod report;
 pub mod rotation;
 pub mod threads;

@@ -1,0 +1,178 @@
+//! Many images at once, in parallel, and the reduction of their gradients in a fixed order.
+
+use rayon::prelude::*;
+
+use super::{DEFAULT_NEAR, Mode, Model, Pixel, Screen, Size, View, ViewGradient};
+use crate::error::{Error, Result};
+
+/// What to draw: poses of one model, or one pose for each of as many models.
+#[derive(Debug, Clone, Copy)]
+pub struct Batch<'a> {
+    /// One model, or one for each view.
+    pub models: &'a [&'a Model],
+    /// Pose and camera of each image.
+    pub views: &'a [View],
+    /// Rows and columns.
+    pub size: Size,
+    /// What kind of mask.
+    pub mode: Mode,
+    /// Distance to the near plane in metres; `None` is [`DEFAULT_NEAR`].
+    pub near: Option<f64>,
+}
+
+/// Which gradients are asked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// For the vertices too, not only for the views.
+    pub vertices: bool,
+}
+
+/// Gradients of a batch.
+#[derive(Debug, Clone, Default)]
+pub struct Gradients {
+    /// For each view.
+    pub views: Vec<ViewGradient>,
+    /// `(V, 3)` for each model, if asked for; for one model, the sum over the views.
+    pub vertices: Vec<Vec<f64>>,
+}
+
+/// Views whose vertex gradients are added up one after another, before the groups are: a number
+/// that no thread count changes.
+const GROUPS: usize = 8;
+
+/// Buffers of one thread.
+#[derive(Debug, Default)]
+struct Scratch {
+    screen: Screen,
+    du: Vec<f64>,
+    dv: Vec<f64>,
+}
+
+thread_local! {
+    static SCRATCH: std::cell::RefCell<Scratch> = std::cell::RefCell::default();
+}
+
+impl Batch<'_> {
+    /// Refuses what cannot be drawn, by name.
+    ///
+    /// # Errors
+    /// [`Error::Argument`]: an image without pixels or beyond 65,535 a side, a number of models
+    /// other than one or that of the views, a near plane at or behind the camera, a parameter of
+    /// the mode out of range; and as [`View::check`].
+    pub fn check(&self) -> Result<()> {
+        for (name, value) in [("height", self.size.height), ("width", self.size.width)] {
+            if !(1..=65_535).contains(&value) {
+                return Err(Error::argument(name, format!("{value}; expected 1 to 65535 pixels")));
+            }
+        }
+        if self.models.len() != 1 && self.models.len() != self.views.len() {
+            let message = format!(
+                "{} for {} views; expected one, or one each",
+                self.models.len(),
+                self.views.len()
+            );
+            return Err(Error::argument("meshes", message));
+        }
+        if let Some(near) = self.near
+            && !(1e-9..=1e9).contains(&near)
+        {
+            return Err(Error::argument("near", format!("{near} m; expected 1e-9 to 1e9 m")));
+        }
+        self.mode.check()?;
+        self.views.iter().enumerate().try_for_each(|(row, view)| view.check(row))
+    }
+
+    fn model(&self, image: usize) -> &Model {
+        self.models[if self.models.len() == 1 { 0 } else { image }]
+    }
+
+    /// Draw all masks into `out`, `(B, H, W)`, on rayon's current pool.
+    ///
+    /// # Errors
+    /// As [`Batch::check`], and a point further than 1e12 m away.
+    ///
+    /// # Panics
+    /// If `out` has another length.
+    pub fn draw<T: Pixel>(&self, out: &mut [T]) -> Result<()> {
+        self.check()?;
+        assert_eq!(out.len(), self.views.len() * self.size.pixels(), "out: (B, H, W)");
+        let near = self.near.unwrap_or(DEFAULT_NEAR);
+        out.par_chunks_exact_mut(self.size.pixels()).zip(self.views).enumerate().try_for_each(
+            |(image, (out, view))| {
+                SCRATCH.with_borrow_mut(|scratch| {
+                    let model = self.model(image);
+                    scratch.screen.project(model, view, near)?;
+                    self.mode.draw(model, &scratch.screen, self.size, out);
+                    Ok(())
+                })
+            },
+        )
+    }
+
+    /// Gradients of `sum(upstream * masks)`; the masks are drawn again rather than kept.
+    ///
+    /// # Errors
+    /// As [`Batch::draw`].
+    ///
+    /// # Panics
+    /// If `upstream` is not `(B, H, W)`.
+    pub fn gradients<T: Pixel>(&self, upstream: &[T], wanted: Wanted) -> Result<Gradients> {
+        self.check()?;
+        assert_eq!(upstream.len(), self.views.len() * self.size.pixels(), "upstream: (B, H, W)");
+        let near = self.near.unwrap_or(DEFAULT_NEAR);
+        let one = |image: usize, vertices: Option<&mut [f64]>| -> Result<ViewGradient> {
+            SCRATCH.with_borrow_mut(|scratch| {
+                let (model, view) = (self.model(image), &self.views[image]);
+                let Scratch { screen, du, dv } = scratch;
+                screen.project(model, view, near)?;
+                for d in [&mut *du, &mut *dv] {
+                    d.clear();
+                    d.resize(screen.points(), 0.0);
+                }
+                let pixels = self.size.pixels();
+                let upstream = &upstream[image * pixels..(image + 1) * pixels];
+                self.mode.back(model, screen, self.size, upstream, du, dv);
+                let mut gradient = ViewGradient::default();
+                screen.pull_back(model, view, du, dv, &mut gradient, vertices);
+                Ok(gradient)
+            })
+        };
+        let count = self.views.len();
+        if !wanted.vertices {
+            let views: Result<_> = (0..count).into_par_iter().map(|k| one(k, None)).collect();
+            return Ok(Gradients { views: views?, vertices: Vec::new() });
+        }
+        let length = |image: usize| 3 * self.model(image).vertex_count();
+        if self.models.len() != 1 {
+            let both: Result<Vec<_>> = (0..count)
+                .into_par_iter()
+                .map(|k| {
+                    let mut vertices = vec![0.0; length(k)];
+                    Ok((one(k, Some(&mut vertices))?, vertices))
+                })
+                .collect();
+            let (views, vertices) = both?.into_iter().unzip();
+            return Ok(Gradients { views, vertices });
+        }
+        let size = count.div_ceil(GROUPS).max(1);
+        let groups: Result<Vec<_>> = (0..count.div_ceil(size))
+            .into_par_iter()
+            .map(|group| {
+                let mut vertices = vec![0.0; length(0)];
+                let views: Result<Vec<_>> = (group * size..((group + 1) * size).min(count))
+                    .map(|k| one(k, Some(&mut vertices)))
+                    .collect();
+                Ok((views?, vertices))
+            })
+            .collect();
+        let mut out =
+            Gradients { views: Vec::with_capacity(count), vertices: vec![vec![0.0; length(0)]] };
+        for (views, vertices) in groups? {
+            out.views.extend(views);
+            for (sum, part) in out.vertices[0].iter_mut().zip(vertices) {
+                *sum += part;
+            }
+        }
+        Ok(out)
+    }
+}

@@ -1,0 +1,391 @@
+//! A model under a view: points in the camera frame and in the image, cut at the near plane.
+
+use multiversion::multiversion;
+
+use super::Model;
+use crate::camera::Intrinsics;
+use crate::error::{Error, Result};
+
+/// The largest coordinate in the camera frame that is drawn, in metres.
+const LARGEST_IN_CAMERA: f64 = 1e12;
+
+/// The largest focal length, principal point or skew, in pixels.
+const LARGEST_INTRINSIC: f64 = 1e9;
+
+/// A pose and a camera. `rotation` may be any finite matrix: gradients are those of a free 3x3.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// `R` of `cam_from_model`, row by row.
+    pub rotation: [[f64; 3]; 3],
+    /// `t` of `cam_from_model`, in metres.
+    pub translation: [f64; 3],
+    /// The camera, in pixels, with pixel centres at `+ 0.5`.
+    pub camera: Intrinsics,
+}
+
+impl View {
+    /// Refuses what cannot be drawn, by name; `row` is the place in the batch.
+    ///
+    /// # Errors
+    /// [`Error::Argument`]: an entry that is not finite, a focal length that is not positive, an
+    /// intrinsic above 1e9 pixels.
+    pub fn check(&self, row: usize) -> Result<()> {
+        if let Some(bad) = self.rotation.as_flattened().iter().find(|c| !c.is_finite()) {
+            return Err(Error::argument(
+                format!("R[{row}]"),
+                format!("found {bad}, expected finite numbers"),
+            ));
+        }
+        if let Some(bad) = self.translation.iter().find(|c| !c.is_finite()) {
+            return Err(Error::argument(
+                format!("t[{row}]"),
+                format!("found {bad}, expected finite numbers"),
+            ));
+        }
+        let k = &self.camera;
+        for (name, value) in [("fx", k.fx), ("fy", k.fy)] {
+            if !(value > 0.0 && value <= LARGEST_INTRINSIC) {
+                let message = format!(
+                    "{name} is {value}; expected a focal length above 0 and up to 1e9 pixels"
+                );
+                return Err(Error::argument("K", message));
+            }
+        }
+        for (name, value) in [("cx", k.cx), ("cy", k.cy), ("skew", k.skew)] {
+            if value.is_nan() || value.abs() > LARGEST_INTRINSIC {
+                return Err(Error::argument(
+                    "K",
+                    format!("{name} is {value}; expected at most 1e9 pixels"),
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A point where an edge meets the near plane: `a + s (b - a)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cut {
+    /// The end of the edge in front of the plane.
+    pub a: u32,
+    /// The end behind it.
+    pub b: u32,
+    /// Where between them.
+    pub s: f64,
+}
+
+/// A model under a view. The arrays hold the model's vertices, then the [cuts](Self::cuts).
+///
+/// Image points of vertices nearer than the near plane are finite and without meaning; no face of
+/// [`faces`](Self::faces) names them.
+#[derive(Debug, Clone, Default)]
+pub struct Screen {
+    /// Image points in pixels.
+    pub u: Vec<f64>,
+    /// See `u`.
+    pub v: Vec<f64>,
+    /// Points in the camera frame, in metres.
+    pub x: Vec<f64>,
+    /// See `x`.
+    pub y: Vec<f64>,
+    /// See `x`.
+    pub z: Vec<f64>,
+    /// The points added at the near plane.
+    pub cuts: Vec<Cut>,
+    cut_faces: Vec<[u32; 3]>,
+    parents: Vec<u32>,
+    vertices: usize,
+    clipped: bool,
+}
+
+/// Derivatives of a number with respect to a view.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ViewGradient {
+    /// `dL/dR`, `R` as a free matrix, row by row.
+    pub rotation: [[f64; 3]; 3],
+    /// `dL/dt`.
+    pub translation: [f64; 3],
+    /// `dL/dK`, row by row; zero outside `fx, skew, cx, fy, cy`.
+    pub camera: [[f64; 3]; 3],
+}
+
+impl Screen {
+    /// Transform, project and clip; the buffers are used again.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if a point lies further than 1e12 m away.
+    pub fn project(&mut self, model: &Model, view: &View, near: f64) -> Result<()> {
+        let n = model.vertex_count();
+        for axis in [&mut self.u, &mut self.v, &mut self.x, &mut self.y, &mut self.z] {
+            axis.resize(n, 0.0);
+        }
+        self.vertices = n;
+        let (low, reach) = transform(
+            [&model.x, &model.y, &model.z],
+            view,
+            near,
+            [&mut self.x, &mut self.y, &mut self.z, &mut self.u, &mut self.v],
+        );
+        if reach > LARGEST_IN_CAMERA || reach.is_nan() {
+            return Err(Error::argument("R, t", "a vertex is further than 1e12 m from the camera"));
+        }
+        self.clipped = low < near;
+        if self.clipped {
+            self.clip(model, view, near);
+        } else {
+            self.cuts.clear();
+        }
+        Ok(())
+    }
+
+    /// Whether the near plane cut something away. If not, faces are those of the model.
+    #[must_use]
+    pub fn is_clipped(&self) -> bool {
+        self.clipped
+    }
+
+    /// The faces in front of the near plane.
+    #[must_use]
+    pub fn faces<'a>(&'a self, model: &'a Model) -> &'a [[u32; 3]] {
+        if self.clipped { &self.cut_faces } else { model.faces() }
+    }
+
+    /// The face of the model that a face of the screen is a part of.
+    #[must_use]
+    pub fn parent(&self, face: usize) -> usize {
+        if self.clipped { self.parents[face] as usize } else { face }
+    }
+
+    /// Number of image points, cuts included.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        self.u.len()
+    }
+
+    /// Cut the triangles at `z = near` (Sutherland & Hodgman, CACM 1974). The two faces of an edge
+    /// share the new point.
+    fn clip(&mut self, model: &Model, view: &View, near: f64) {
+        let (z, mut made) = (&self.z, hashbrown::HashMap::<(u32, u32), u32>::new());
+        self.cuts.clear();
+        self.cut_faces.clear();
+        self.parents.clear();
+        let inside = |k: u32| z[k as usize] >= near;
+        for (f, face) in model.faces().iter().enumerate() {
+            let mut polygon = [0_u32; 4];
+            let mut corners = 0;
+            for k in 0..3 {
+                let (a, b) = (face[k], face[(k + 1) % 3]);
+                if inside(a) {
+                    polygon[corners] = a;
+                    corners += 1;
+                }
+                if inside(a) != inside(b) {
+                    let (a, b) = if inside(a) { (a, b) } else { (b, a) };
+                    let next = (self.vertices + self.cuts.len()) as u32;
+                    let point = *made.entry((a, b)).or_insert(next);
+                    if point == next {
+                        let (za, zb) = (z[a as usize], z[b as usize]);
+                        self.cuts.push(Cut { a, b, s: (near - za) / (zb - za) });
+                    }
+                    polygon[corners] = point;
+                    corners += 1;
+                }
+            }
+            for k in 2..corners {
+                self.cut_faces.push([polygon[0], polygon[k - 1], polygon[k]]);
+                self.parents.push(f as u32);
+            }
+        }
+        let k = &view.camera;
+        for cut in &self.cuts {
+            let (a, b) = (cut.a as usize, cut.b as usize);
+            let x = self.x[a] + cut.s * (self.x[b] - self.x[a]);
+            let y = self.y[a] + cut.s * (self.y[b] - self.y[a]);
+            self.x.push(x);
+            self.y.push(y);
+            self.z.push(near);
+            self.u.push((k.fx * x + k.skew * y) / near + k.cx);
+            self.v.push(k.fy * y / near + k.cy);
+        }
+    }
+
+    /// Carry the gradient for image points on to the view and, where asked for, to the model's
+    /// vertices (`(V, 3)`, interleaved, added to).
+    ///
+    /// # Panics
+    /// If the slices are shorter than [`points`](Self::points) or `3 V`.
+    pub fn pull_back(
+        &self,
+        model: &Model,
+        view: &View,
+        du: &[f64],
+        dv: &[f64],
+        out: &mut ViewGradient,
+        mut vertices: Option<&mut [f64]>,
+    ) {
+        let k = &view.camera;
+        let mut on_vertex = |v: usize, g: [f64; 3], out: &mut ViewGradient| {
+            let p = model.vertex(v);
+            for row in 0..3 {
+                out.translation[row] += g[row];
+                for column in 0..3 {
+                    out.rotation[row][column] += g[row] * p[column];
+                }
+            }
+            if let Some(vertices) = vertices.as_deref_mut() {
+                let r = &view.rotation;
+                for column in 0..3 {
+                    vertices[3 * v + column] +=
+                        r[0][column] * g[0] + r[1][column] * g[1] + r[2][column] * g[2];
+                }
+            }
+        };
+        for point in 0..self.points() {
+            let (gu, gv) = (du[point], dv[point]);
+            if gu == 0.0 && gv == 0.0 {
+                continue;
+            }
+            let (x, y, z) = (self.x[point], self.y[point], self.z[point]);
+            let inverse = 1.0 / z;
+            let (xn, yn) = (x * inverse, y * inverse);
+            out.camera[0][0] += gu * xn;
+            out.camera[0][1] += gu * yn;
+            out.camera[0][2] += gu;
+            out.camera[1][1] += gv * yn;
+            out.camera[1][2] += gv;
+            let gx = k.fx * gu * inverse;
+            let gy = (k.skew * gu + k.fy * gv) * inverse;
+            if point < self.vertices {
+                on_vertex(point, [gx, gy, -(gx * xn + gy * yn)], out);
+            } else {
+                // z stays on the plane: what is lost there comes back through s.
+                let Cut { a, b, s } = self.cuts[point - self.vertices];
+                let (a, b) = (a as usize, b as usize);
+                let ds = gx * (self.x[b] - self.x[a]) + gy * (self.y[b] - self.y[a]);
+                let per_depth = ds / (self.z[b] - self.z[a]);
+                on_vertex(a, [(1.0 - s) * gx, (1.0 - s) * gy, (s - 1.0) * per_depth], out);
+                on_vertex(b, [s * gx, s * gy, -s * per_depth], out);
+            }
+        }
+    }
+}
+
+/// Camera and image points of all vertices; the smallest depth and the largest coordinate.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+fn transform(model: [&[f64]; 3], view: &View, near: f64, out: [&mut [f64]; 5]) -> (f64, f64) {
+    let n = model[0].len();
+    let [mx, my, mz] = model.map(|axis| &axis[..n]);
+    let [x, y, z, u, v] = out.map(|axis| &mut axis[..n]);
+    let (r, t, k) = (&view.rotation, &view.translation, &view.camera);
+    let (mut low, mut reach) = (f64::INFINITY, 0.0_f64);
+    for i in 0..n {
+        let cx = r[0][0] * mx[i] + r[0][1] * my[i] + r[0][2] * mz[i] + t[0];
+        let cy = r[1][0] * mx[i] + r[1][1] * my[i] + r[1][2] * mz[i] + t[1];
+        let cz = r[2][0] * mx[i] + r[2][1] * my[i] + r[2][2] * mz[i] + t[2];
+        (x[i], y[i], z[i]) = (cx, cy, cz);
+        let depth = if cz < near { near } else { cz };
+        low = if cz < low { cz } else { low };
+        let far = cx.abs() + cy.abs() + cz.abs();
+        reach = if far <= reach { reach } else { far };
+        let inverse = 1.0 / depth;
+        u[i] = (k.fx * cx + k.skew * cy) * inverse + k.cx;
+        v[i] = k.fy * cy * inverse + k.cy;
+    }
+    (low, reach)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view() -> View {
+        let (s, c) = (0.6, 0.8);
+        View {
+            rotation: [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]],
+            translation: [0.1, -0.2, 1.1],
+            camera: Intrinsics {
+                skew: 1.5,
+                ..Intrinsics::new(50.0, 60.0, 16.0, 12.0).expect("valid")
+            },
+        }
+    }
+
+    fn model() -> Model {
+        let v = [[0.5, 0.1, -0.3], [-0.4, 0.6, 0.2], [0.2, -0.7, 0.4], [0.1, 0.2, -2.0]];
+        Model::new(&v, &[[0, 1, 2], [0, 2, 3], [1, 3, 2], [0, 3, 1]]).expect("valid")
+    }
+
+    fn weighted_sum(screen: &Screen) -> f64 {
+        (0..screen.points())
+            .filter(|&k| k >= 4 || screen.z[k] >= 0.5)
+            .map(|k| (0.3 + k as f64) * screen.u[k] - (1.0 + (k * k) as f64) * screen.v[k])
+            .sum()
+    }
+
+    #[test]
+    fn the_pull_back_is_the_derivative_across_the_near_plane_too() {
+        let (model, view, near) = (model(), view(), 0.5);
+        let mut screen = Screen::default();
+        screen.project(&model, &view, near).expect("drawn");
+        assert!(screen.is_clipped() && screen.cuts.len() == 3);
+        let n = screen.points();
+        let seen = |k: usize| k >= 4 || screen.z[k] >= near;
+        let du: Vec<f64> = (0..n).map(|k| if seen(k) { 0.3 + k as f64 } else { 0.0 }).collect();
+        let dv: Vec<f64> =
+            (0..n).map(|k| if seen(k) { -1.0 - (k * k) as f64 } else { 0.0 }).collect();
+        let mut gradient = ViewGradient::default();
+        let mut vertices = vec![0.0; 12];
+        screen.pull_back(&model, &view, &du, &dv, &mut gradient, Some(&mut vertices));
+        let value = |view: &View, model: &Model| {
+            let mut screen = Screen::default();
+            screen.project(model, view, near).expect("drawn");
+            weighted_sum(&screen)
+        };
+        let h = 1e-6;
+        let check = |analytic: f64, plus: f64, minus: f64| {
+            let numeric = (plus - minus) / (2.0 * h);
+            assert!(
+                (analytic - numeric).abs() < 1e-4 * (1.0 + numeric.abs()),
+                "{analytic} {numeric}"
+            );
+        };
+        for row in 0..3 {
+            let moved = |d: f64| {
+                let mut v = view;
+                v.translation[row] += d;
+                value(&v, &model)
+            };
+            check(gradient.translation[row], moved(h), moved(-h));
+            for column in 0..3 {
+                let turned = |d: f64| {
+                    let mut v = view;
+                    v.rotation[row][column] += d;
+                    value(&v, &model)
+                };
+                check(gradient.rotation[row][column], turned(h), turned(-h));
+            }
+        }
+        let zoomed = |d: f64| {
+            let mut v = view;
+            v.camera.fx += d;
+            value(&v, &model)
+        };
+        check(gradient.camera[0][0], zoomed(h), zoomed(-h));
+        for k in 0..12 {
+            let bent = |d: f64| {
+                let mut points: Vec<[f64; 3]> = (0..4).map(|k| model.vertex(k)).collect();
+                points[k / 3][k % 3] += d;
+                value(&view, &Model::new(&points, model.faces()).expect("valid"))
+            };
+            check(vertices[k], bent(h), bent(-h));
+        }
+    }
+
+    #[test]
+    fn a_model_behind_the_camera_has_no_faces_left() {
+        let mut screen = Screen::default();
+        let behind = View { translation: [0.0, 0.0, -5.0], ..view() };
+        screen.project(&model(), &behind, 0.1).expect("drawn");
+        assert!(screen.faces(&model()).is_empty() && screen.points() == 4);
+    }
+}
