@@ -1,5 +1,7 @@
 //! A model under a view: points in the camera frame and in the image, cut at the near plane.
 
+use foldhash::fast::FixedState;
+use hashbrown::HashMap;
 use multiversion::multiversion;
 
 use super::Model;
@@ -165,7 +167,7 @@ impl Screen {
     /// Cut the triangles at `z = near` (Sutherland & Hodgman, CACM 1974). The two faces of an edge
     /// share the new point.
     fn clip(&mut self, model: &Model, view: &View, near: f64) {
-        let (z, mut made) = (&self.z, hashbrown::HashMap::<(u32, u32), u32>::new());
+        let (z, mut made) = (&self.z, HashMap::<(u32, u32), u32, FixedState>::default());
         self.cuts.clear();
         self.cut_faces.clear();
         self.parents.clear();
