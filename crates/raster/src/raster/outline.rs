@@ -29,6 +29,12 @@ pub(super) struct NetEdge {
 }
 
 impl NetEdge {
+    /// Whether the edge is at least as high as wide.
+    #[inline(always)]
+    pub(super) fn is_steep(&self) -> bool {
+        self.y1 - self.y0 >= (self.x1 - self.x0).abs()
+    }
+
     /// Where the edge is at height `y`, between its ends.
     #[inline(always)]
     pub(super) fn x_at(&self, y: f64) -> f64 {

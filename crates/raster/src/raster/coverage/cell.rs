@@ -29,21 +29,22 @@ pub(super) const LEFT_0: u8 = 2;
 pub(super) const LEFT_1: u8 = 4;
 
 /// Two outlines closer than this, in pixels, with nothing but a sliver between them are none.
-const SLIVER: f64 = 1e-9;
-
-/// More pieces than this, and the rectangle is split.
-const MANY: usize = 48;
-
-/// A rectangle smaller than this, in pixels, is not split further.
-const SMALL: f64 = 1e-6;
+pub(super) const SLIVER: f64 = 1e-9;
 
 /// Left, right, top and bottom.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Rectangle {
     pub(super) left: f64,
     pub(super) right: f64,
     pub(super) top: f64,
     pub(super) bottom: f64,
+}
+
+impl Rectangle {
+    /// In square pixels.
+    pub(super) fn area(&self) -> f64 {
+        (self.right - self.left) * (self.bottom - self.top)
+    }
 }
 
 /// A stretch of outline: `edge`, from `from` to `to` along the axis of the sweep; `ahead` if the
@@ -89,12 +90,6 @@ impl Cell {
         if pieces.is_empty() || layers > pieces.iter().map(|p| p.step.abs()).sum() {
             return if layers > 0 { whole } else { 0.0 };
         }
-        if pieces.len() > MANY {
-            if right - left < SMALL && bottom - top < SMALL {
-                return if layers > 0 { whole } else { 0.0 };
-            }
-            return self.split(rectangle, pieces, layers, outline);
-        }
         self.slabs(rectangle, pieces, layers, outline)
     }
 
@@ -108,8 +103,8 @@ impl Cell {
         self.heights.clear();
         self.heights.push(top);
         for p in pieces {
-            self.heights.push(p.y0);
-            self.heights.push(p.y1);
+            self.heights.push(p.y0.clamp(top, bottom));
+            self.heights.push(p.y1.clamp(top, bottom));
         }
         self.heights.push(bottom);
         sort(&mut self.heights, |a, b| a < b);
@@ -217,70 +212,91 @@ impl Cell {
             }
         }
     }
+}
 
-    /// Halve the longer side.
-    #[cold]
-    fn split(
-        &mut self,
-        rectangle: Rectangle,
-        pieces: &[Piece],
-        layers: i32,
-        outline: &mut Option<&mut Vec<Stretch>>,
-    ) -> f64 {
-        let Rectangle { left, right, top, bottom } = rectangle;
-        let (mut first, mut second) = (Vec::new(), Vec::new());
-        let mut beyond = layers;
-        let (one, two);
-        if bottom - top >= right - left {
-            let y = 0.5 * (top + bottom);
-            one = Rectangle { bottom: y, ..rectangle };
-            two = Rectangle { top: y, ..rectangle };
-            for p in pieces {
-                if p.flags & LEFT_0 != 0 && p.y0 < y {
-                    beyond -= p.step;
-                }
-                if p.flags & LEFT_1 != 0 && p.y1 < y {
-                    beyond += p.step;
-                }
-                if p.y1 < y {
-                    first.push(*p);
-                } else if p.y0 >= y {
-                    second.push(*p);
-                } else {
-                    let x = p.x0 + (y - p.y0) * ((p.x1 - p.x0) / (p.y1 - p.y0));
-                    first.push(Piece { x1: x, y1: y, flags: p.flags & !LEFT_1, ..*p });
-                    second.push(Piece { x0: x, y0: y, flags: (p.flags & LEFT_1) | TOP, ..*p });
-                }
+/// A part of a rectangle: what is in it, and the layers at its upper left corner.
+#[derive(Debug, Default)]
+pub(super) struct Half {
+    pub(super) rectangle: Rectangle,
+    pub(super) pieces: Vec<Piece>,
+    pub(super) layers: i32,
+}
+
+/// Halve the longer side.
+pub(super) fn split(rectangle: Rectangle, pieces: &[Piece], layers: i32) -> [Half; 2] {
+    let Rectangle { left, right, top, bottom } = rectangle;
+    let (mut first, mut second) = (Vec::new(), Vec::new());
+    let mut beyond = layers;
+    let (one, two);
+    if bottom - top >= right - left {
+        let y = 0.5 * (top + bottom);
+        one = Rectangle { bottom: y, ..rectangle };
+        two = Rectangle { top: y, ..rectangle };
+        for p in pieces {
+            if p.flags & LEFT_0 != 0 && p.y0 < y {
+                beyond -= p.step;
             }
-        } else {
-            let x = 0.5 * (left + right);
-            one = Rectangle { right: x, ..rectangle };
-            two = Rectangle { left: x, ..rectangle };
-            for p in pieces {
-                if p.flags & TOP != 0 && p.x0 < x {
-                    beyond += p.step;
-                }
-                let (a, b) = (p.x0 < x, p.x1 < x);
-                if a && b {
-                    first.push(*p);
-                } else if !a && !b {
-                    second.push(*p);
+            if p.flags & LEFT_1 != 0 && p.y1 < y {
+                beyond += p.step;
+            }
+            if p.y1 < y {
+                first.push(*p);
+            } else if p.y0 >= y {
+                second.push(*p);
+            } else {
+                let x = p.x0 + (y - p.y0) * ((p.x1 - p.x0) / (p.y1 - p.y0));
+                first.push(Piece { x1: x, y1: y, flags: p.flags & !LEFT_1, ..*p });
+                second.push(Piece { x0: x, y0: y, flags: (p.flags & LEFT_1) | TOP, ..*p });
+            }
+        }
+    } else {
+        let x = 0.5 * (left + right);
+        one = Rectangle { right: x, ..rectangle };
+        two = Rectangle { left: x, ..rectangle };
+        for p in pieces {
+            if p.flags & TOP != 0 && p.x0 < x {
+                beyond += p.step;
+            }
+            let (a, b) = (p.x0 < x, p.x1 < x);
+            if a && b {
+                first.push(*p);
+            } else if !a && !b {
+                second.push(*p);
+            } else {
+                let y = p.y0 + (x - p.x0) * ((p.y1 - p.y0) / (p.x1 - p.x0));
+                let upper = Piece { x1: x, y1: y, flags: p.flags & !LEFT_1, ..*p };
+                let lower = Piece { x0: x, y0: y, flags: p.flags & LEFT_1, ..*p };
+                if a {
+                    first.push(upper);
+                    second.push(Piece { flags: lower.flags | LEFT_0, ..lower });
                 } else {
-                    let y = p.y0 + (x - p.x0) * ((p.y1 - p.y0) / (p.x1 - p.x0));
-                    let upper = Piece { x1: x, y1: y, flags: p.flags & !LEFT_1, ..*p };
-                    let lower = Piece { x0: x, y0: y, flags: p.flags & LEFT_1, ..*p };
-                    if a {
-                        first.push(upper);
-                        second.push(Piece { flags: lower.flags | LEFT_0, ..lower });
-                    } else {
-                        second.push(Piece { flags: upper.flags | LEFT_1, ..upper });
-                        first.push(lower);
-                    }
+                    second.push(Piece { flags: upper.flags | LEFT_1, ..upper });
+                    first.push(lower);
                 }
             }
         }
-        self.solve(one, &first, layers, outline) + self.solve(two, &second, beyond, outline)
     }
+    [
+        Half { rectangle: one, pieces: first, layers },
+        Half { rectangle: two, pieces: second, layers: beyond },
+    ]
+}
+
+/// A rectangle with a single piece, from border to border: the covered area, and whether the piece
+/// is visible, and if so whether the uncovered side is the right one.
+#[inline(always)]
+pub(super) fn single(p: &Piece, layers: i32) -> (f64, Option<bool>) {
+    // Left of the piece, right of it, and below it where it ends on the left side.
+    let at_left = if p.flags & LEFT_0 != 0 { layers - p.step } else { layers };
+    let at_right = at_left + p.step;
+    let below = if p.flags & LEFT_1 != 0 { at_right } else { at_left };
+    let middle = 0.5 * (p.x0 + p.x1);
+    let one = |covered: bool, area: f64| if covered { area } else { 0.0 };
+    let area = one(layers > 0, p.y0)
+        + (p.y1 - p.y0) * (one(at_left > 0, middle) + one(at_right > 0, 1.0 - middle))
+        + one(below > 0, 1.0 - p.y1);
+    let visible = (at_left > 0) != (at_right > 0);
+    (area, visible.then_some(at_left > 0))
 }
 
 /// The pieces with rows and columns exchanged, for a sweep to the right.

@@ -11,12 +11,15 @@
 //! [`cell`].
 
 mod cell;
+mod lanes;
 mod rows;
+mod solver;
 
 use std::cell::RefCell;
 
-use self::cell::{Cell, Piece, Rectangle, Stretch, transposed};
+use self::cell::{Piece, Rectangle, single, transposed};
 use self::rows::{Rows, Visitor};
+use self::solver::{Sink, Solver};
 use super::blur::{self, Kernel};
 use super::outline::{Extent, NetEdge, Outline};
 use super::{Model, Pixel, Screen, Size};
@@ -26,9 +29,10 @@ use super::{Model, Pixel, Screen, Size};
 struct Scratch {
     outline: Outline,
     rows: Rows,
-    cell: Cell,
-    steep: Vec<Stretch>,
+    down: Solver,
+    right: Solver,
     turned: Vec<Piece>,
+    sites: Vec<Site>,
 }
 
 thread_local! {
@@ -40,7 +44,7 @@ const UNIT: Rectangle = Rectangle { left: 0.0, right: 1.0, top: 0.0, bottom: 1.0
 /// Draw the mask; every pixel of `out` is written. `sigma` in pixels.
 pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, sigma: f64, out: &mut [T]) {
     SCRATCH.with_borrow_mut(|scratch| {
-        let Scratch { outline, rows, cell, .. } = scratch;
+        let Scratch { outline, rows, down: solver, .. } = scratch;
         let kernel = Kernel::new(sigma);
         let (height, width) = kernel.padded(size);
         outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
@@ -52,16 +56,20 @@ pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, sigma: f64, ou
             let (first, last) = extent.rows;
             out[..first * width].fill(T::default());
             out[last * width..].fill(T::default());
-            let mut painter = Painter { out, stride: width, extent, whole: true, cell };
+            let canvas = Canvas { out, stride: width, extent, whole: true };
+            let mut painter = Painter { canvas, solver };
             rows.walk(&outline.edges, extent, &mut painter);
+            painter.solver.finish::<false>(&mut painter.canvas);
             return;
         }
         blur::with_canvas(|canvas: &mut Vec<T>| {
             let (n, m) = (extent.rows.1 - extent.rows.0, extent.columns.1 - extent.columns.0);
             canvas.clear();
             canvas.resize(n * m, T::default());
-            let mut painter = Painter { out: canvas, stride: m, extent, whole: false, cell };
+            let part = Canvas { out: canvas, stride: m, extent, whole: false };
+            let mut painter = Painter { canvas: part, solver };
             rows.walk(&outline.edges, extent, &mut painter);
+            painter.solver.finish::<false>(&mut painter.canvas);
             kernel.forward(canvas, extent.rows, extent.columns, size, out);
         });
     });
@@ -78,16 +86,20 @@ pub fn back<T: Pixel>(
     dv: &mut [f64],
 ) {
     SCRATCH.with_borrow_mut(|scratch| {
-        let Scratch { outline, rows, cell, steep, turned } = scratch;
+        let Scratch { outline, rows, down, right, turned, sites } = scratch;
         let kernel = Kernel::new(sigma);
         let (height, width) = kernel.padded(size);
         outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
         let Some(extent) = outline.extent(height, width) else { return };
         let mut collect = |weights: &[T], stride: usize, origin: (usize, usize)| {
             let edges = &outline.edges[..];
-            let mut collector =
-                Collector { weights, stride, origin, edges, cell, steep, turned, du, dv };
+            sites.clear();
+            let forces = Forces { edges, sites, du, dv };
+            let mut collector = Collector { weights, stride, origin, down, right, turned, forces };
             rows.walk(edges, extent, &mut collector);
+            let Collector { down, right, mut forces, .. } = collector;
+            down.finish::<true>(&mut Down(&mut forces));
+            right.finish::<true>(&mut Right(&mut forces));
         };
         if kernel.radius() == 0 {
             collect(upstream, width, (0, 0));
@@ -105,15 +117,20 @@ pub fn back<T: Pixel>(
 
 /// Writes areas.
 struct Painter<'a, T> {
+    canvas: Canvas<'a, T>,
+    solver: &'a mut Solver,
+}
+
+/// Where areas go.
+struct Canvas<'a, T> {
     out: &'a mut [T],
     stride: usize,
     extent: Extent,
     /// Whether `out` is the whole canvas, or the extent only.
     whole: bool,
-    cell: &'a mut Cell,
 }
 
-impl<T: Pixel> Painter<'_, T> {
+impl<T: Pixel> Canvas<'_, T> {
     #[inline(always)]
     fn at(&self, row: usize, column: usize) -> usize {
         if self.whole {
@@ -124,41 +141,128 @@ impl<T: Pixel> Painter<'_, T> {
     }
 }
 
+impl<T: Pixel> Sink for Canvas<'_, T> {
+    #[inline(always)]
+    fn area(&mut self, tag: u32, area: f64) {
+        let pixel = &mut self.out[tag as usize];
+        *pixel = T::from_f64((pixel.to_f64() + area).clamp(0.0, 1.0));
+    }
+
+    fn edge(&mut self, _tag: u32, _edge: u32, _height: f64, _moment: f64) {}
+}
+
 impl<T: Pixel> Visitor for Painter<'_, T> {
     fn row(&mut self, row: usize) {
-        if self.whole {
-            let (c0, c1) = self.extent.columns;
-            let row = &mut self.out[row * self.stride..(row + 1) * self.stride];
+        let Canvas { out, stride, extent, whole } = &mut self.canvas;
+        if *whole {
+            let (c0, c1) = extent.columns;
+            let row = &mut out[row * *stride..(row + 1) * *stride];
             row[..c0].fill(T::default());
             row[c1..].fill(T::default());
         }
     }
 
     fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {
-        let (from, to) = (self.at(row, from), self.at(row, to));
-        self.out[from..to].fill(if covered { T::from_f64(1.0) } else { T::default() });
+        let (from, to) = (self.canvas.at(row, from), self.canvas.at(row, to));
+        let value = if covered { T::from_f64(1.0) } else { T::default() };
+        self.canvas.out[from..to].fill(value);
     }
 
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
-        let area = self.cell.solve(UNIT, pieces, layers, &mut None);
-        let at = self.at(row, column);
-        self.out[at] = T::from_f64(area.clamp(0.0, 1.0));
+        let at = self.canvas.at(row, column);
+        if let [piece] = pieces {
+            let (area, _) = single(piece, layers);
+            self.canvas.out[at] = T::from_f64(area.clamp(0.0, 1.0));
+        } else {
+            self.canvas.out[at] = T::default();
+            self.solver.add::<false>(UNIT, pieces, layers, at as u32, &mut self.canvas);
+        }
     }
 }
 
-/// Adds up the gradient.
+/// Adds up the gradient: steep edges by a sweep down, flat ones by a sweep to the right, each along
+/// the axis on which its ends are far apart.
 struct Collector<'a, T> {
     /// The gradient for areas.
     weights: &'a [T],
     stride: usize,
     /// Row and column of the first weight.
     origin: (usize, usize),
-    edges: &'a [NetEdge],
-    cell: &'a mut Cell,
-    steep: &'a mut Vec<Stretch>,
+    down: &'a mut Solver,
+    right: &'a mut Solver,
     turned: &'a mut Vec<Piece>,
+    forces: Forces<'a>,
+}
+
+/// The gradient for image points so far.
+struct Forces<'a> {
+    edges: &'a [NetEdge],
+    /// Pixels that were handed to a solver.
+    sites: &'a mut Vec<Site>,
     du: &'a mut [f64],
     dv: &'a mut [f64],
+}
+
+/// A pixel, and the gradient for its area.
+#[derive(Debug, Clone, Copy)]
+struct Site {
+    weight: f64,
+    row: f64,
+    column: f64,
+}
+
+impl Forces<'_> {
+    /// The stretch of an edge in one pixel: its extent downwards and to the right, with the sign of
+    /// its outer side, and the mean of where it is between the ends of the edge.
+    #[inline(always)]
+    fn push(&mut self, e: &NetEdge, u: f64, v: f64, along_u: f64, along_v: f64) {
+        let (from, to) = (e.from as usize, e.to as usize);
+        self.du[from] += u - along_u;
+        self.dv[from] += v - along_v;
+        self.du[to] += along_u;
+        self.dv[to] += along_v;
+    }
+}
+
+/// Results of the sweep down.
+struct Down<'a, 'b>(&'a mut Forces<'b>);
+
+impl Sink for Down<'_, '_> {
+    fn area(&mut self, _tag: u32, _area: f64) {}
+
+    #[inline(always)]
+    fn edge(&mut self, tag: u32, edge: u32, height: f64, moment: f64) {
+        let e = self.0.edges[edge as usize];
+        if e.is_steep() {
+            let site = self.0.sites[tag as usize];
+            let whole = 1.0 / (e.y1 - e.y0);
+            let (sum, along) =
+                (site.weight * height, site.weight * (moment + (site.row - e.y0) * height) * whole);
+            self.0.push(&e, sum, -e.slope * sum, along, -e.slope * along);
+        }
+    }
+}
+
+/// Results of the sweep to the right: its right-hand side is below.
+struct Right<'a, 'b>(&'a mut Forces<'b>);
+
+impl Sink for Right<'_, '_> {
+    fn area(&mut self, _tag: u32, _area: f64) {}
+
+    #[inline(always)]
+    fn edge(&mut self, tag: u32, edge: u32, width: f64, moment: f64) {
+        let e = self.0.edges[edge as usize];
+        if !e.is_steep() {
+            let site = self.0.sites[tag as usize];
+            let whole = 1.0 / (e.x1 - e.x0);
+            let slope = (e.y1 - e.y0) * whole;
+            let (sum, along) = (
+                site.weight * width,
+                site.weight * (moment + (site.column - e.x0) * width) * whole,
+            );
+            self.0.push(&e, -slope * sum, sum, -slope * along, along);
+        }
+    }
 }
 
 impl<T: Pixel> Visitor for Collector<'_, T> {
@@ -172,52 +276,33 @@ impl<T: Pixel> Visitor for Collector<'_, T> {
         if weight == 0.0 {
             return;
         }
-        // Steep edges by the sweep down, flat ones by the sweep to the right: each along the axis
-        // on which its ends are far apart.
-        let steep = |e: &NetEdge| e.y1 - e.y0 >= (e.x1 - e.x0).abs();
-        let edge = |p: &Piece| &self.edges[p.edge as usize];
-        if pieces.iter().any(|p| steep(edge(p))) {
-            self.steep.clear();
-            self.cell.solve(UNIT, pieces, layers, &mut Some(self.steep));
-            for s in self.steep.iter() {
-                let e = &self.edges[s.edge as usize];
-                if !steep(e) {
-                    continue;
-                }
-                let length = s.to - s.from;
-                let across = if s.ahead { weight * length } else { -weight * length };
-                let along = (0.5 * (s.from + s.to) + row as f64 - e.y0) / (e.y1 - e.y0);
-                push(self.du, self.dv, e, along, across, -e.slope * across);
+        let site = Site { weight, row: row as f64, column: column as f64 };
+        let edges = self.forces.edges;
+        if let [p] = pieces {
+            if let (_, Some(ahead)) = single(p, layers) {
+                let e = &edges[p.edge as usize];
+                let weight = if ahead { weight } else { -weight };
+                let along = if e.is_steep() {
+                    (0.5 * (p.y0 + p.y1) + site.row - e.y0) / (e.y1 - e.y0)
+                } else {
+                    (0.5 * (p.x0 + p.x1) + site.column - e.x0) / (e.x1 - e.x0)
+                };
+                let (u, v) = (weight * (p.y1 - p.y0), -weight * (p.x1 - p.x0));
+                self.forces.push(e, u, v, along * u, along * v);
             }
+            return;
         }
-        if pieces.iter().any(|p| !steep(edge(p))) {
+        let tag = self.forces.sites.len() as u32;
+        self.forces.sites.push(site);
+        let steep = |p: &Piece| edges[p.edge as usize].is_steep();
+        if pieces.iter().any(steep) {
+            self.down.add::<true>(UNIT, pieces, layers, tag, &mut Down(&mut self.forces));
+        }
+        if !pieces.iter().all(steep) {
             transposed(pieces, self.turned);
-            self.steep.clear();
-            self.cell.solve(UNIT, self.turned, layers, &mut Some(self.steep));
-            for s in self.steep.iter() {
-                let e = &self.edges[s.edge as usize];
-                if steep(e) {
-                    continue;
-                }
-                let length = s.to - s.from;
-                let down = if s.ahead { weight * length } else { -weight * length };
-                let along = (0.5 * (s.from + s.to) + column as f64 - e.x0) / (e.x1 - e.x0);
-                let slope = (e.y1 - e.y0) / (e.x1 - e.x0);
-                push(self.du, self.dv, e, along, -slope * down, down);
-            }
+            self.right.add::<true>(UNIT, self.turned, layers, tag, &mut Right(&mut self.forces));
         }
     }
-}
-
-/// Share a force between the ends of an edge.
-#[inline(always)]
-fn push(du: &mut [f64], dv: &mut [f64], e: &NetEdge, along: f64, u: f64, v: f64) {
-    let along = along.clamp(0.0, 1.0);
-    let (from, to) = (e.from as usize, e.to as usize);
-    du[from] += (1.0 - along) * u;
-    dv[from] += (1.0 - along) * v;
-    du[to] += along * u;
-    dv[to] += along * v;
 }
 
 #[cfg(test)]

@@ -34,6 +34,23 @@ pub(super) trait Visitor {
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32);
 }
 
+/// What enters a pixel.
+///
+/// On the way from a corner to a point inside, first along the side and then across, a piece is
+/// crossed once or not at all, or once on the side and back again: it changes the number of layers
+/// by its step or by nothing. In which direction depends on whether it leaves through the side
+/// that the way begins on.
+#[derive(Debug, Clone, Copy, Default)]
+struct Entered {
+    /// How many pieces.
+    count: u32,
+    /// Layers at the lower left corner minus those at the upper left one.
+    down: i32,
+    /// How many layers the pieces can take away, seen from the upper left, upper right, lower
+    /// left and lower right corner.
+    taken: [i32; 4],
+}
+
 /// Buffers of a walk.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
@@ -41,8 +58,7 @@ pub(super) struct Rows {
     parts: Vec<Part>,
     /// For each column: change of layers at its upper left corner.
     change: Vec<i32>,
-    /// For each column: how many parts enter it and how many layers they can take away.
-    entered: Vec<(u32, i32)>,
+    entered: Vec<Entered>,
     /// For each column to solve: where its pieces go.
     place: Vec<u32>,
     pieces: Vec<Piece>,
@@ -61,7 +77,7 @@ impl Rows {
         self.change.clear();
         self.change.resize(columns + 1, 0);
         self.entered.clear();
-        self.entered.resize(columns, (0, 0));
+        self.entered.resize(columns, Entered::default());
         self.place.clear();
         self.place.resize(columns, NOWHERE);
         for row in first..last {
@@ -106,10 +122,23 @@ impl Rows {
             if high < c0 || low >= c1 {
                 continue;
             }
+            let (p, n) = (e.step.max(0), (-e.step).max(0));
             for c in low.max(c0)..=high.min(c1 - 1) {
                 let entered = &mut self.entered[(c - c0) as usize];
-                entered.0 += 1;
-                entered.1 += e.step.abs();
+                entered.count += 1;
+                // From the left and to the right, or the other way.
+                let (first, last) = (c == a, c == b);
+                let (taken, down) = if a <= b {
+                    let taken = [if first { n } else { p }, p, n, if last { p } else { n }];
+                    (taken, if first { 0 } else { -e.step })
+                } else {
+                    let taken = [n, if first { p } else { n }, if last { n } else { p }, p];
+                    (taken, if last { 0 } else { e.step })
+                };
+                entered.down += down;
+                for (sum, taken) in entered.taken.iter_mut().zip(taken) {
+                    *sum += taken;
+                }
             }
             self.parts.push(Part {
                 x0,
@@ -132,18 +161,27 @@ impl Rows {
         self.todo.clear();
         for c in 0..columns {
             layers += std::mem::take(&mut self.change[c]);
-            let (count, mass) = std::mem::take(&mut self.entered[c]);
-            if count > 0 && layers <= mass {
-                if begin < c {
-                    visitor.plain(row, c0 + begin, c0 + c, covered);
+            let Entered { count, down, taken } = std::mem::take(&mut self.entered[c]);
+            if count > 0 {
+                let right = layers + self.change[c + 1];
+                // Lower right: the same as below the next pixel's corner.
+                let below = right + self.entered.get(c + 1).map_or(0, |next| next.down);
+                let most = (layers - taken[0])
+                    .max(right - taken[1])
+                    .max(layers + down - taken[2])
+                    .max(if c + 1 < columns { below - taken[3] } else { 0 });
+                if most <= 0 {
+                    if begin < c {
+                        visitor.plain(row, c0 + begin, c0 + c, covered);
+                    }
+                    begin = c + 1;
+                    self.place[c] = total;
+                    self.todo.push((c as u32, total, count, layers));
+                    total += count;
+                    continue;
                 }
-                begin = c + 1;
-                self.place[c] = total;
-                self.todo.push((c as u32, total, count, layers));
-                total += count;
-                continue;
             }
-            let now = layers > 0;
+            let now = count > 0 || layers > 0;
             if now != covered {
                 if begin < c {
                     visitor.plain(row, c0 + begin, c0 + c, covered);
