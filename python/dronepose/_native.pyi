@@ -197,7 +197,8 @@ def silhouette(
     out: NDArray[float32] | NDArray[float64],
 ) -> None:
     """Masks into ``out``, ``(B, H, W)``. ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``; ``width`` and
-    ``cutoff`` are those of the mode."""
+    ``cutoff`` are those of the mode.
+    """
 
 def silhouette_gradients(
     models: list[Model],
@@ -213,4 +214,5 @@ def silhouette_gradients(
     vertices: bool,
 ) -> tuple[NDArray[float64], NDArray[float64], NDArray[float64], list[NDArray[float64]]]:
     """Gradients of ``sum(upstream * masks)`` for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked
-    for, the vertices of each model."""
+    for, the vertices of each model.
+    """
