@@ -196,9 +196,7 @@ def silhouette(
     threads: int,
     out: NDArray[float32] | NDArray[float64],
 ) -> None:
-    """Masks into ``out``, ``(B, H, W)``. ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``; ``width`` and
-    ``cutoff`` are those of the mode.
-    """
+    """Masks into ``out``, ``(B, H, W)``; ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``."""
 
 def silhouette_gradients(
     models: list[Model],
@@ -213,6 +211,4 @@ def silhouette_gradients(
     upstream: NDArray[float32] | NDArray[float64],
     vertices: bool,
 ) -> tuple[NDArray[float64], NDArray[float64], NDArray[float64], list[NDArray[float64]]]:
-    """Gradients of ``sum(upstream * masks)`` for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked
-    for, the vertices of each model.
-    """
+    """Gradients for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked for, each model's vertices."""

@@ -10,7 +10,7 @@ Mode = Literal["coverage", "hard", "dibr", "sigmoid"]
 MODES = ("coverage", "hard", "dibr", "sigmoid")
 
 _ONE_DEVIATION = math.log(0.8413447460685429 / 0.15865525393145707)
-"""``d^2 / sigma`` where a sigmoid is as low as a Gaussian edge is one standard deviation outside."""
+"""``d^2 / sigma`` where a sigmoid is as low as a Gaussian edge one deviation outside."""
 
 
 class Settings(NamedTuple):

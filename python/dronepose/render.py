@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -293,4 +293,4 @@ def _writable(out: Mask, shape: tuple[int, ...], dtype: DTypeLike | None) -> Mas
         )
     if not (out.flags.c_contiguous and out.flags.writeable):
         raise ValueError("out: expected a C-contiguous array that can be written to")
-    return cast("Mask", out)
+    return out

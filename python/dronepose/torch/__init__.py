@@ -92,7 +92,8 @@ def silhouette(
         num_threads: 0 for all cores.
 
     Returns:
-        ``(B, H, W)`` in ``[0, 1]``, on the device of ``R``; float64 if an argument is, else float32.
+        ``(B, H, W)`` in ``[0, 1]``, on the device of ``R``; float64 if an
+        argument is, float32 otherwise.
 
     Raises:
         TypeError: An argument is no tensor, or of a dtype that does not fit.

@@ -27,7 +27,7 @@ class _Entry(NamedTuple):
     models: list[_native.Model]
 
     def elements(self) -> int:
-        return len(self.models) * (self.vertices.shape[-2] + len(self.faces))
+        return len(self.models) * (int(self.vertices.shape[-2]) + len(self.faces))
 
 
 _kept: tuple[_Entry, ...] = ()

@@ -8,11 +8,14 @@ from typing import Any, Optional
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from dronepose import _native
 from dronepose._buffers import BUFFERS
 from dronepose.torch._models import models
+
+_Batch = tuple[list[_native.Model], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 # torch 2.4 does not know `float | None`.
 _Float = Optional[float]  # noqa: UP045
@@ -95,7 +98,7 @@ def _backward_op(
     if of_vertices:
         vertex_rows = vertex_rows.reshape(vertices.shape)
 
-    def like(array: "np.ndarray[Any, Any]", tensor: Tensor) -> Tensor:
+    def like(array: NDArray[Any], tensor: Tensor) -> Tensor:
         return torch.from_numpy(array).to(tensor.device, tensor.dtype)
 
     return like(vertex_rows, vertices), like(g_R, R), like(g_t, t), like(g_K, K)
@@ -155,13 +158,13 @@ def _second_derivative(ctx: Any, *upstream: Any) -> Any:
 _backward_op.register_autograd(_second_derivative, setup_context=_nothing_to_keep)
 
 
-def _batch(vertices: Tensor, faces: Tensor, R: Tensor, t: Tensor, K: Tensor) -> tuple[Any, ...]:
+def _batch(vertices: Tensor, faces: Tensor, R: Tensor, t: Tensor, K: Tensor) -> _Batch:
     """Models, rotations, translations and cameras for the extension."""
     prepared = models(_double(vertices), faces.detach().cpu().contiguous().numpy())
     return prepared, _double(R), _double(t), _double(K).reshape(-1, 3, 3)
 
 
-def _double(tensor: Tensor) -> "np.ndarray[Any, np.dtype[np.float64]]":
+def _double(tensor: Tensor) -> NDArray[np.float64]:
     return tensor.detach().to("cpu", torch.float64).contiguous().numpy()
 
 
@@ -169,10 +172,8 @@ def _numpy_dtype(tensor: Tensor) -> type[np.float32] | type[np.float64]:
     return np.float64 if tensor.dtype == torch.float64 else np.float32
 
 
-def _image(upstream: Tensor) -> "np.ndarray[Any, Any]":
-    """Contiguous and on the CPU; a copy, such as one of a gradient that ``sum()`` expanded, goes to
-    memory that is used again.
-    """
+def _image(upstream: Tensor) -> NDArray[Any]:
+    """Contiguous and on the CPU; a copy (``sum()`` expands its gradient) into kept memory."""
     if upstream.is_cpu and upstream.is_contiguous():
         return upstream.detach().numpy()
     out = BUFFERS.empty(tuple(upstream.shape), _numpy_dtype(upstream))
@@ -180,7 +181,7 @@ def _image(upstream: Tensor) -> "np.ndarray[Any, Any]":
     return out
 
 
-def _all_finite(what: str, array: "np.ndarray[Any, Any]", axes: tuple[str, ...]) -> None:
+def _all_finite(what: str, array: NDArray[Any], axes: tuple[str, ...]) -> None:
     good = np.isfinite(array)
     if good.all():
         return
@@ -189,13 +190,13 @@ def _all_finite(what: str, array: "np.ndarray[Any, Any]", axes: tuple[str, ...])
     raise RuntimeError(f"check_finite: {what} is {array[place]} at {where}")
 
 
-def _vertices_finite(gradient: "np.ndarray[Any, Any]", faces: Tensor, mesh: int) -> None:
+def _vertices_finite(gradient: NDArray[Any], faces: Tensor, mesh: int) -> None:
     bad = ~np.isfinite(gradient).all(axis=1)
     if not bad.any():
         return
     vertex = int(np.argmax(bad))
     faces_of = (faces.detach().cpu().numpy() == vertex).any(axis=1)
     raise RuntimeError(
-        f"check_finite: the gradient for vertices is {gradient[vertex].tolist()} at vertex {vertex} "
-        f"of mesh {mesh}, in face {int(np.argmax(faces_of))}"
+        f"check_finite: the gradient for vertices is {gradient[vertex].tolist()} at vertex "
+        f"{vertex} of mesh {mesh}, in face {int(np.argmax(faces_of))}"
     )
