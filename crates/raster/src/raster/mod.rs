@@ -20,6 +20,7 @@ pub mod hard;
 mod model;
 mod screen;
 pub mod sigmoid;
+mod soft;
 mod topology;
 
 pub use self::batch::{Batch, Gradients, Wanted};
