@@ -25,6 +25,12 @@ CASES = [
     if not (kind in ("dibr_kaolin", "p3d50") and path.stem in ("cube_nearplane", "cube_behind"))
 ]
 
+# Of the largest entry. Where two edges of dji_64x48 cross at a very small angle, the reference,
+# which looks 1e-8 px beside an edge, is 1.3e-7 off: at vertex 2150 it has 3.389894, a difference
+# quotient of ours with a step of 1e-8 m has 3.38989956 and our gradient 3.38989974.
+TOLERANCE = 1e-7
+WIDER = {"dji_64x48": 2e-7}
+
 
 class Golden:
     def __init__(self, name):
@@ -73,7 +79,7 @@ def test_masks_are_those_of_the_reference(golden, name, kind, dtype):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_gradients_are_those_of_the_reference(golden, name, kind, dtype):
     case = golden(name)
-    tolerance = 1e-7 if dtype == np.float64 else 1e-3
+    tolerance = WIDER.get(name, TOLERANCE) if dtype == np.float64 else 1e-3
     for key, found in case.gradients(kind, dtype).items():
         expected = case.data[f"{kind}.{key}"]
         scale = np.abs(expected).max()
@@ -106,4 +112,5 @@ def test_torch_gives_the_same_gradients(golden, name):
     for key, gradient in found.items():
         expected = d[f"coverage_s1.{key}"]
         scale = np.abs(expected).max()
-        np.testing.assert_allclose(gradient, expected, rtol=0, atol=1e-7 * scale, err_msg=key)
+        tolerance = WIDER.get(name, TOLERANCE) * scale
+        np.testing.assert_allclose(gradient, expected, rtol=0, atol=tolerance, err_msg=key)

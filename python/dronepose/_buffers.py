@@ -27,6 +27,27 @@ _LIMIT = 1 << 28
 """Bytes that are kept while nobody uses them."""
 
 
+class _Owner:
+    """What all views of one array refer to: it goes when the last of them has gone.
+
+    An array would not do, for views refer past it to what holds its memory, and nor would a
+    memoryview; at an object that is neither, with the array interface (version 3), they stop.
+    """
+
+    __slots__ = ("__array_interface__", "__weakref__")
+
+    def __init__(
+        self, memory: NDArray[np.uint8], shape: tuple[int, ...], kind: np.dtype[Any]
+    ) -> None:
+        data = memory.__array_interface__["data"]
+        self.__array_interface__ = {
+            "shape": shape,
+            "typestr": kind.str,
+            "data": data,
+            "version": 3,
+        }
+
+
 class Buffers:
     """Arrays whose memory comes back when the last view of it is gone.
 
@@ -45,11 +66,9 @@ class Buffers:
         if not _SMALLEST <= size <= self._limit:
             return np.empty(shape, kind)
         memory = self._take(size)
-        # Views refer to the innermost owner that is no array: this one, which can be watched.
-        owner = memoryview(memory)  # type: ignore[arg-type]
-        finalizer = weakref.finalize(owner, self._give_back, memory)
-        finalizer.atexit = False
-        return np.ndarray(shape, kind, buffer=owner)
+        owner = _Owner(memory, shape, kind)
+        weakref.finalize(owner, self._give_back, memory).atexit = False
+        return np.asarray(owner)
 
     def kept(self) -> int:
         """Bytes that are kept and not in use."""
