@@ -79,7 +79,7 @@ class Buffers:
         self._free = {}
 
     def _take(self, size: int) -> NDArray[np.uint8]:
-        for key, memory in self._free.copy().items():
+        for key, memory in reversed(self._free.copy().items()):  # the latest may be in the cache
             if size <= memory.nbytes <= 2 * size:
                 mine = self._free.pop(key, None)
                 if mine is not None:
