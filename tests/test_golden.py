@@ -1,4 +1,4 @@
-"""Masks and gradients against files that a slow reference wrote (``golden/README`` in ../shared)."""
+"""Masks and gradients against files that a slow reference wrote (``golden`` in ../shared)."""
 
 import numpy as np
 import pytest

@@ -49,7 +49,7 @@ def test_a_blurred_edge_is_half_on_the_outline():
 
 def test_soft_masks_fall_off_as_their_formulas_say():
     camera = Camera(1000, 1000, 8, -500, width=16, height=8)
-    half = (SQUARE[0], SQUARE[1][:1])  # its long side is at u = 8 px where the image is
+    # One side is at u = 8 px, the others far outside of the image.
     vertices = np.array([[0.0, 0, 0], [0, 1, 0], [1, 0.5, 0]])
     half = (vertices, np.array([[0, 1, 2]]))
     d = (8 - (np.arange(8) + 0.5)) * 2  # twice the distance in pixels
@@ -64,9 +64,7 @@ def test_soft_masks_fall_off_as_their_formulas_say():
 
 def test_the_gradient_of_an_area_is_the_length_of_its_outline():
     camera = Camera(4, 4, 2, 2, width=8, height=6)
-    g = render.silhouette_gradients(
-        Mesh(*SQUARE), camera, EYE, [[0, 0, 2]], np.ones((1, 6, 8))
-    )
+    g = render.silhouette_gradients(Mesh(*SQUARE), camera, EYE, [[0, 0, 2]], np.ones((1, 6, 8)))
     # area = fx fy / z^2
     np.testing.assert_allclose(g.t, [[0, 0, -4]], atol=1e-12)
     np.testing.assert_allclose(g.K[0], [[1, 0, 0], [0, 1, 0], [0, 0, 0]], atol=1e-12)
@@ -80,7 +78,7 @@ def test_what_is_behind_the_camera_is_not_drawn(options):
     g = render.silhouette_gradients(
         Mesh(*TETRAHEDRON), CAMERA, *pose, np.ones((1, 12, 16)), **options
     )
-    assert not (g.R.any() or g.t.any() or g.K.any() or g.vertices.any())
+    assert not any(array.any() for array in (g.R, g.t, g.K, g.vertices))
 
 
 def test_an_empty_batch_is_an_empty_array():
@@ -161,7 +159,7 @@ def test_the_order_and_winding_of_faces_do_not_matter(options, seed):
     pose = scenes.poses(rng, 2)
     expected = draw((vertices, faces), *pose, **options)
     shuffled = rng.permutation(faces)
-    rolled = np.array([np.roll(f, k) for f, k in zip(faces, rng.integers(3, size=len(faces)))])
+    rolled = np.array([np.roll(f, rng.integers(3)) for f in faces])
     invariant(draw((vertices, shuffled), *pose, **options), expected, options)
     invariant(draw((vertices, rolled), *pose, **options), expected, options)
     some = np.where(rng.random((len(faces), 1)) < 0.5, faces, faces[:, ::-1])
@@ -206,9 +204,7 @@ def test_the_number_of_threads_changes_no_bit(options, dtype, drone):
     found = []
     for threads in (1, 2, 7):
         mask = render.silhouette(drone, CAMERA, *pose, dtype=dtype, threads=threads, **options)
-        g = render.silhouette_gradients(
-            drone, CAMERA, *pose, upstream, threads=threads, **options
-        )
+        g = render.silhouette_gradients(drone, CAMERA, *pose, upstream, threads=threads, **options)
         found.append([a.tobytes() for a in (mask, g.R, g.t, g.K, g.vertices)])
     assert found[0] == found[1] == found[2]
 
@@ -472,9 +468,7 @@ def test_calls_from_many_threads_agree(drone):
     wrong = []
 
     def work():
-        for _ in range(20):
-            if not np.array_equal(draw(drone, R, t), expected):
-                wrong.append(1)
+        wrong.extend(k for k in range(20) if not np.array_equal(draw(drone, R, t), expected))
 
     threads = [threading.Thread(target=work) for _ in range(4)]
     for thread in threads:

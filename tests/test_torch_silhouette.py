@@ -56,7 +56,7 @@ def gradients(arguments, **options):
 
 @pytest.mark.parametrize("options", SMOOTH, ids=scenes.name)
 @pytest.mark.parametrize("near", [None, 2.2], ids=["whole", "cut"])
-def test_gradcheck_in_vertices_R_t_and_K(options, near):
+def test_gradcheck_in_vertices_pose_and_camera(options, near):
     arguments = inputs(distance=2.4)
 
     def masks(*a):
@@ -101,7 +101,7 @@ def test_only_what_is_asked_for_is_computed():
         torch.testing.assert_close(draw(*inputs()), draw(v, R, t, K).detach(), rtol=0, atol=0)
 
 
-def test_noise_in_the_fixed_entries_of_K_is_ignored_and_a_transposed_K_refused():
+def test_noise_in_a_camera_matrix_is_ignored_and_a_transposed_one_refused():
     v, R, t, K = inputs(grad=False)
     noisy = K + torch.tensor([[0, 0, 0], [1e-3, 0, 0], [5e-5, -5e-5, 5e-5]])
     assert torch.equal(draw(v, R, t, noisy), draw(v, R, t, K))
@@ -474,9 +474,7 @@ def test_without_torch_the_remedy_is_named():
         "import sys\nsys.modules['torch'] = None\nimport dronepose\n"
         "try:\n    dronepose.torch\nexcept ImportError as error:\n    print(error)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 'pip install "dronepose[torch]"' in done.stdout
 
 

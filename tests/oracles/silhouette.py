@@ -47,7 +47,7 @@ def area(polygons, camera):
 
 
 def coverage(polygons, camera, sigma=0.0):
-    """``(H, W)`` area of the union in each pixel, blurred by a Gaussian cut at ``ceil(4 sigma)``."""
+    """``(H, W)`` area of the union in each pixel, blurred by a Gaussian cut at 4 sigma."""
     r = math.ceil(4 * sigma)
     whole = union(polygons)
     shapely.prepare(whole)

@@ -313,7 +313,15 @@ class SoftSilhouette(nn.Module):
         )
 
     def extra_repr(self) -> str:
-        """Size and options, for ``repr``."""
+        """Size and options, for ``repr``.
+
+        Example:
+            >>> import torch
+            >>> from dronepose.torch import SoftSilhouette
+            >>> corner = torch.tensor([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]])
+            >>> SoftSilhouette(corner, torch.tensor([[0, 1, 2]]), 2, 2).extra_repr()
+            '2 x 2, 3 vertices, 1 faces'
+        """
         parts = [
             f"{self.height} x {self.width}",
             f"{len(self.vertices)} vertices",
