@@ -1,6 +1,7 @@
 """Silhouettes in NumPy: closed forms, what must not matter, slow twins, errors, memory."""
 
 import gc
+import subprocess
 import sys
 import threading
 
@@ -14,6 +15,7 @@ from dronepose._buffers import BUFFERS, Buffers
 from oracles import silhouette as oracle
 from scenes import ALL, CAMERA, CUTOFFS, SMOOTH, SQUARE, TETRAHEDRON
 from support import EXAMPLES
+from test_processes import Counter
 
 EYE = np.eye(3)[None]
 NEAR = {"near": 0.3}
@@ -246,6 +248,27 @@ def test_gradients_are_difference_quotients_across_the_near_plane_too(options, n
     np.testing.assert_allclose(ours, numeric, rtol=0, atol=2e-6 * np.abs(numeric).max())
 
 
+@pytest.mark.parametrize("options", [*ALL, *CUTOFFS], ids=scenes.name)
+@given(seed=scenes.seeds)
+@settings(max_examples=40)
+def test_nothing_odd_makes_a_number_that_is_none(options, seed):
+    """Edge-on and doubled faces, corners that meet, at the camera, on the near plane, far away."""
+    rng = np.random.default_rng(seed)
+    values = np.array([0.0, 0.0, 1.0, -1.0, 0.5, 1e-9, -1e-12, 1e-3, 1e3, -1e6])
+    vertices = rng.choice(values[: rng.integers(3, 11)], size=(6, 3))
+    faces = rng.integers(6, size=(8, 3))
+    R = rng.choice([np.eye(3), np.zeros((3, 3)), scenes.poses(rng, 1)[0][0], np.eye(3)[::-1]])
+    t = rng.choice(values, size=3) * [1, 1, 0] + [0, 0, rng.choice([0.0, 1e-3, 1.0, 2.0])]
+    pose = (R[None], t[None])
+    mask = draw((vertices, faces), *pose, **options)
+    assert ((mask >= 0) & (mask <= 1)).all()
+    g = render.silhouette_gradients(
+        Mesh(vertices, faces), CAMERA, *pose, rng.normal(size=(1, 12, 16)), **options
+    )
+    for array in (g.R, g.t, g.K, g.vertices):
+        assert np.isfinite(array).all()
+
+
 def test_a_turn_of_the_camera_frame_is_the_tangent():
     rng = np.random.default_rng(3)
     mesh, (R, t) = Mesh(*TETRAHEDRON), scenes.poses(rng, 1)
@@ -460,6 +483,30 @@ def test_results_stay_what_they_were(drone):
     np.testing.assert_array_equal(second, copy)
     assert BUFFERS.kept() <= 1 << 28
     assert address in (second.ctypes.data, render.silhouette(drone, camera, R, t).ctypes.data)
+
+
+def test_arrays_that_outlive_everything_are_no_error():
+    code = (
+        "import numpy as np\nfrom dronepose._buffers import BUFFERS\n"
+        "kept = [BUFFERS.empty((1 << 20,), 'f4') for _ in range(3)]\n"
+        "np.late = BUFFERS.empty((1 << 20,), 'f4')[3:]"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("function", ["silhouette", "silhouette_gradients"])
+def test_python_goes_on_while_the_extension_draws(function, drone):
+    camera = Camera.from_fov(320, 240, horizontal_deg=64.69)
+    pose = scenes.poses(np.random.default_rng(1), 16, distance=0.7, spread=0.02)
+    upstream = (np.ones((16, 240, 320), np.float32),) if function != "silhouette" else ()
+    with Counter() as counter:
+        for _ in range(200):  # the first call is enough, unless the machine looks away
+            before = counter.count
+            getattr(render, function)(drone, camera, *pose, *upstream)
+            if counter.count > before:
+                return
+    pytest.fail("no other thread ran during 200 calls")
 
 
 def test_calls_from_many_threads_agree(drone):

@@ -57,10 +57,10 @@ def silhouette(
 ) -> Float[Tensor, "B {height} {width}"]:
     """Masks of a mesh under many poses, differentiable in its vertices, the poses and the camera.
 
-    One operator for autograd, ``torch.compile`` (without graph break) and autocast; it releases
-    the GIL. Half precision is computed from float32 copies and gives float32 masks. Memory does not
-    grow with the number of faces: the backward pass draws again. The same bits for any
-    ``num_threads``. Second derivatives are refused.
+    One operator for autograd, ``torch.compile`` (without graph break; compiled again for each new
+    ``sigma``) and autocast; it releases the GIL. Half precision is computed from float32 copies and
+    gives float32 masks. Memory does not grow with the number of faces: the backward pass draws
+    again. The same bits for any ``num_threads``. Second derivatives are refused.
 
     CUDA tensors are accepted and moved to the CPU and back, which waits for the device.
 
@@ -131,7 +131,7 @@ def silhouette(
         K.to(dtype),
         *size,
         chosen.mode,
-        float(chosen.width),
+        chosen.width,
         length,
         count,
         near,
