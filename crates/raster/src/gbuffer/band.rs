@@ -165,12 +165,8 @@ fn fill(
             let nearness = &mut nearness[start..start + blocks];
             let ids = &mut ids[start..start + blocks];
             let v = f64::from(row) + 0.5;
-            let mut u = f64::from(left) + 0.5;
-            let lanes = nearness.as_chunks_mut::<LANES>().0.iter_mut();
-            for (nearness, ids) in lanes.zip(ids.as_chunks_mut::<LANES>().0) {
-                block(record, u, v, nearness, ids);
-                u += LANES as f64;
-            }
+            let u = f64::from(left) + 0.5;
+            draw_row(record, u, v, nearness, ids);
         }
     }
     if touched[1] == 0 {
@@ -183,16 +179,20 @@ fn fill(
     }
 }
 
-/// Samples of one row from `u` on.
+/// Samples of one row from `u` on; as many as there are whole groups of lanes.
 #[inline(always)]
-fn block(record: &Record, u: f64, v: f64, nearness: &mut [f64; LANES], ids: &mut [u32; LANES]) {
+fn draw_row(record: &Record, u: f64, v: f64, nearness: &mut [f64], ids: &mut [u32]) {
+    // Of a length that has no remainder, which the compiler can see.
+    let count = nearness.len() / LANES * LANES;
+    let (nearness, ids) = (&mut nearness[..count], &mut ids[..count]);
+    let [ua, ub, uc] = record.u;
     let [va, vb, vc] = record.v.map(|corner| corner - v);
     let [base, d1, d2] = record.nearness;
     let [low, high] = record.range;
     let right = f64::from(record.columns[1]);
-    for k in 0..LANES {
-        let x = u + k as f64;
-        let (a, b, c) = ([record.u[0] - x, va], [record.u[1] - x, vb], [record.u[2] - x, vc]);
+    for k in 0..count {
+        let x = u + f64::from(k as i32);
+        let (a, b, c) = ([ua - x, va], [ub - x, vb], [uc - x, vc]);
         let (e0, e1, e2) = (edge(b, c), edge(c, a), edge(a, b));
         let w = base + e1 * d1 + e2 * d2;
         let w = if w < low { low } else { w };

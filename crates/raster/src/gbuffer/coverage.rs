@@ -76,7 +76,9 @@ pub fn draw<T: Pixel>(
                             *out = T::from_f64(out.to_f64() + 1.0);
                         }
                     }
-                    out.iter_mut().for_each(|x| *x = T::from_f64(x.to_f64() / all));
+                    for share in out {
+                        *share = T::from_f64(share.to_f64() / all);
+                    }
                 }
             });
             Ok(())

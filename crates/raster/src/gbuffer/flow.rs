@@ -203,6 +203,10 @@ impl Pairs<'_> {
             let rows = flow.chunks_exact_mut(2 * size.width).zip(fate.chunks_exact_mut(size.width));
             for (row, (flow, fate)) in rows.enumerate() {
                 let v = (band.rows.start + row) as f64 + 0.5;
+                if background.is_none() {
+                    flow.fill(T::default());
+                    fate.fill(Fate::None);
+                }
                 let mut write = |column: usize, (place, found): ([f64; 2], Fate)| {
                     let known = !matches!(found, Fate::Behind | Fate::None);
                     let centre = [column as f64 + 0.5, v];
@@ -213,26 +217,16 @@ impl Pairs<'_> {
                     fate[column] = found;
                 };
                 band.fragments(row, surfaces, fragments);
-                let mut next = 0;
-                for f in &*fragments {
-                    for column in next..f.column {
-                        write(
-                            column,
-                            background.as_ref().map_or_else(Default::default, |b| {
-                                behind(b, [column as f64 + 0.5, v])
-                            }),
-                        );
+                if let Some(background) = &background {
+                    let mut seen = fragments.iter().map(|f| f.column).peekable();
+                    for column in 0..size.width {
+                        if seen.next_if_eq(&column).is_none() {
+                            write(column, behind(background, [column as f64 + 0.5, v]));
+                        }
                     }
-                    write(f.column, seen(f));
-                    next = f.column + 1;
                 }
-                for column in next..size.width {
-                    write(
-                        column,
-                        background
-                            .as_ref()
-                            .map_or_else(Default::default, |b| behind(b, [column as f64 + 0.5, v])),
-                    );
+                for f in &*fragments {
+                    write(f.column, seen(f));
                 }
             }
         });
@@ -364,7 +358,9 @@ mod tests {
         let first = [view([-0.4, 0.0, 2.0]), View { rotation: turn(0.5), ..view([0.4, 0.2, 1.8]) }];
         let mut second =
             [View { rotation: turn(-0.4), ..view([-0.3, 0.1, 1.5]) }, view([0.3, -0.2, 2.5])];
-        second.iter_mut().for_each(|v| v.camera.fx = 40.0);
+        for view in &mut second {
+            view.camera.fx = 40.0;
+        }
         let (drawn, flow, _) = run(&models, &first, &second, None);
         let mut objects = [0; 2];
         for k in (0..SIZE.pixels()).filter(|&k| drawn.mask[k]) {

@@ -15,6 +15,15 @@
 //!
 //! All numbers are computed in `f64` without fused operations and rounded once, so they depend
 //! neither on the processor nor on the number of threads.
+#![expect(
+    clippy::cast_possible_wrap,
+    reason = "pixels and faces are bounded far below 2^31 where they are signed"
+)]
+#![expect(
+    clippy::inline_always,
+    clippy::needless_bitwise_bool,
+    reason = "loops over lanes have to be compiled for the wide registers, and without branches"
+)]
 
 mod band;
 pub mod coverage;
@@ -113,7 +122,17 @@ fn split<'a, X>(plane: &mut Option<&'a mut [X]>, count: usize) -> Option<&'a mut
     Some(head)
 }
 
-impl<'a, T> GBuffer<'a, T> {
+impl<T> GBuffer<'_, T> {
+    /// Whether no plane is there.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        let floats = [&self.depth, &self.barycentrics, &self.normal, &self.attributes, &self.uv];
+        self.mask.is_none()
+            && self.object.is_none()
+            && self.face.is_none()
+            && floats.iter().all(|plane| plane.is_none())
+    }
+
     /// The planes of the next `pixels` pixels.
     fn split(&mut self, pixels: usize, channels: usize) -> Self {
         GBuffer {

@@ -140,6 +140,7 @@ impl Corners {
     };
 
     /// Exchange two corners where `a` comes after `b`.
+    #[expect(clippy::float_cmp, reason = "an order of exact places")]
     #[inline(always)]
     fn sort(&mut self, a: usize, b: usize) {
         for k in 0..LANES {
