@@ -1,11 +1,11 @@
-"""Silhouettes of a mesh under poses, and their gradients, in NumPy.
+"""Silhouettes of a mesh under poses and their gradients, depth, normals and flow, in NumPy.
 
 A point of the model is in the camera at ``p_cam = R @ p_model + t`` (OpenCV axes, metres) and in
 the image at ``u = (fx x + skew y)/z + cx``, ``v = fy y/z + cy``. Pixel ``(row i, column j)`` covers
 ``[j, j + 1) x [i, i + 1)``. Triangles are cut at the near plane, so nothing behind the camera is
 drawn; both sides of a triangle count, and meshes may be open.
 
-Four kinds of masks (``mode``):
+Four kinds of silhouettes (``mode``):
 
 ``"coverage"``
     The area of the union of the projected triangles inside the pixel, exactly, then a Gaussian of
@@ -13,7 +13,7 @@ Four kinds of masks (``mode``):
     number of its triangles. The gradient is that of the area as the outline moves (Reynolds'
     transport theorem), blurred alike.
 ``"hard"``
-    1 where the centre of the pixel is inside a triangle. No gradient.
+    1 where the centre of the pixel is inside a triangle, 0 elsewhere. Its gradient is zero.
 ``"dibr"``
     ``1 - prod_f (1 - exp(-delta d_f^2))`` over all faces outside the silhouette, 1 inside, with the
     distance ``d_f`` in Kaolin's NDC (both sides of the image span ``[-1, 1]``): Chen et al.,
@@ -34,6 +34,7 @@ import numpy as np
 from dronepose import _native
 from dronepose._arrays import floats
 from dronepose._buffers import BUFFERS
+from dronepose._gbuffer import Flow, GBuffer, flow, gbuffer
 from dronepose._softness import (
     from_kaolin,
     from_pytorch3d,
@@ -53,9 +54,13 @@ if TYPE_CHECKING:
     Mask = NDArray[np.float32] | NDArray[np.float64]
 
 __all__ = [
+    "Flow",
+    "GBuffer",
     "SilhouetteGradients",
+    "flow",
     "from_kaolin",
     "from_pytorch3d",
+    "gbuffer",
     "silhouette",
     "silhouette_gradients",
     "tangent",
@@ -165,7 +170,7 @@ def silhouette_gradients(
     """Gradients of ``sum(upstream * silhouette(mesh, camera, R, t, ...))``.
 
     What torch would call the backward pass: ``upstream`` is the gradient of a loss for the masks.
-    The masks are drawn again rather than kept, so memory does not grow with the number of faces.
+    The masks are drawn again rather than kept, and nothing is kept for each pixel and face.
     Sums are added in a fixed order: the same bits for any number of threads.
 
     Args:

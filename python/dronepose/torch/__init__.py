@@ -59,8 +59,11 @@ def silhouette(
 
     One operator for autograd, ``torch.compile`` (without graph break; compiled again for each new
     ``sigma``) and autocast; it releases the GIL. Half precision is computed from float32 copies and
-    gives float32 masks. Memory does not grow with the number of faces: the backward pass draws
-    again. The same bits for any ``num_threads``. Second derivatives are refused.
+    gives float32 masks. Nothing is kept for each pixel and face: the backward pass draws again. The
+    same bits for any ``num_threads``. Second derivatives are refused.
+
+    Works in forked and in spawned workers of a ``DataLoader``; there, ``num_threads=1`` leaves the
+    cores to the other workers.
 
     CUDA tensors are accepted and moved to the CPU and back, which waits for the device.
 
@@ -216,7 +219,7 @@ class SoftSilhouette(nn.Module):
         options: The keyword arguments of :func:`silhouette`.
 
     Raises:
-        TypeError: An option is unknown.
+        TypeError: An argument is of a wrong type, or an option is unknown.
         ValueError: A shape or an option is wrong; the message starts with the name.
 
     Example:
