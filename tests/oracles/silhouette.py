@@ -35,10 +35,13 @@ def image_polygons(vertices, faces, camera, R, t, near=DEFAULT_NEAR):
     return found
 
 
-def union(polygons):
-    """Their union, without those of no area."""
+def union(polygons, grid_size=None):
+    """Their union, without those of no area.
+
+    On a grid GEOS is ten times slower; without one it may lose a face where some nearly coincide.
+    """
     shapes = [shapely.Polygon(p) for p in polygons]
-    return shapely.union_all([s for s in shapes if s.area > 0])
+    return shapely.union_all([s for s in shapes if s.area > 0], grid_size=grid_size)
 
 
 def area(polygons, camera):
@@ -49,7 +52,7 @@ def area(polygons, camera):
 def coverage(polygons, camera, sigma=0.0):
     """``(H, W)`` area of the union in each pixel, blurred by a Gaussian cut at 4 sigma."""
     r = math.ceil(4 * sigma)
-    whole = union(polygons)
+    whole = union(polygons, grid_size=1e-10)
     shapely.prepare(whole)
     v, u = np.mgrid[-r : camera.height + r, -r : camera.width + r]
     boxes = shapely.box(u, v, u + 1, v + 1)
@@ -86,6 +89,12 @@ def inside(polygons, camera):
     return np.array(within).reshape(-1, camera.height, camera.width)
 
 
+def holds_anything(tri):
+    """Whether a triangle has an area, rounding aside."""
+    (ax, ay), (bx, by) = tri[1:] - tri[0]
+    return abs(ax * by - ay * bx) > 1e-12 * (np.abs(tri).max() ** 2 + 1)
+
+
 def squared_distance(p, tri):
     """To the closest of the three sides."""
     found = []
@@ -113,10 +122,12 @@ def dibr(polygons, camera, delta=7000.0):
 
 
 def sigmoid(polygons, camera, sigma=1e-4):
-    """Liu et al. 2019 over all faces: the shorter side spans [-1, 1]."""
+    """Liu et al. 2019 over all faces but those of no area: the shorter side spans [-1, 1]."""
     scale = 2 / min(camera.width, camera.height)
     keep = np.ones((camera.height, camera.width))
     for holds, tri in zip(inside(polygons, camera), triangles(polygons), strict=True):
+        if not holds_anything(tri):
+            continue
         d2 = squared_distance(centres(camera) * scale, tri * scale)
         x = np.where(holds, d2, -d2) / sigma
         keep *= np.exp(-np.logaddexp(0, x))
