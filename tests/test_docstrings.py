@@ -2,6 +2,7 @@
 
 import doctest
 import importlib
+import importlib.util
 import inspect
 import pkgutil
 import re
@@ -10,7 +11,7 @@ import signal
 import pytest
 
 import dronepose
-from dronepose import geometry, metrics
+from dronepose import geometry, metrics, render
 from support import ROOT
 
 MODULES = sorted(
@@ -22,7 +23,10 @@ PUBLIC = {
     **{f"dronepose.{name}": getattr(dronepose, name) for name in dronepose.__all__},
     **{f"metrics.{name}": getattr(metrics, name) for name in metrics.__all__},
     **{f"geometry.{name}": getattr(geometry, name) for name in geometry.__all__},
+    **{f"render.{name}": getattr(render, name) for name in render.__all__},
 }
+if importlib.util.find_spec("torch"):
+    PUBLIC |= {f"torch.{n}": getattr(dronepose.torch, n) for n in dronepose.torch.__all__}
 del PUBLIC["dronepose.__version__"]
 
 

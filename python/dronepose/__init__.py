@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dronepose import evaluation, geometry, metrics
+    from dronepose import evaluation, geometry, metrics, render
     from dronepose._native import MeshError, __version__
     from dronepose.camera import Camera
     from dronepose.evaluation import Evaluation, evaluate
@@ -36,6 +36,7 @@ __all__ = [
     "evaluation",
     "geometry",
     "metrics",
+    "render",
 ]
 
 _HOME = {
@@ -48,7 +49,9 @@ _HOME = {
     "__version__": "_native",
     "evaluate": "evaluation",
 }
-_MODULES = frozenset({"camera", "cli", "evaluation", "geometry", "mesh", "metrics"})
+_MODULES = frozenset(
+    {"camera", "cli", "evaluation", "geometry", "mesh", "metrics", "render", "torch"}
+)
 
 
 def __getattr__(name: str) -> Any:

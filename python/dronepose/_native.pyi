@@ -1,15 +1,16 @@
 """The extension module. Arrays are C-contiguous float64; the public functions convert and check."""
 
 import os
-from typing import final
+from typing import Any, final
 
-from numpy import float32, float64, int32, uint32
+from numpy import float32, float64, int32, uint8, uint32
 from numpy.typing import NDArray
 
 __all__ = [
     "Mesh",
     "MeshError",
     "Model",
+    "Surface",
     "Symmetries",
     "__version__",
     "add",
@@ -17,6 +18,8 @@ __all__ = [
     "adds",
     "cli_run",
     "evaluate",
+    "flow",
+    "gbuffer",
     "matrix_from_6d",
     "matrix_from_axis_angle",
     "matrix_from_quat_wxyz",
@@ -196,8 +199,7 @@ def silhouette(
     threads: int,
     out: NDArray[float32] | NDArray[float64],
 ) -> None:
-    """Masks into ``out``, ``(B, H, W)``. ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``; ``width`` and
-    ``cutoff`` are those of the mode."""
+    """Masks into ``out``, ``(B, H, W)``; ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``."""
 
 def silhouette_gradients(
     models: list[Model],
@@ -212,5 +214,47 @@ def silhouette_gradients(
     upstream: NDArray[float32] | NDArray[float64],
     vertices: bool,
 ) -> tuple[NDArray[float64], NDArray[float64], NDArray[float64], list[NDArray[float64]]]:
-    """Gradients of ``sum(upstream * masks)`` for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked
-    for, the vertices of each model."""
+    """Gradients for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked for, each model's vertices."""
+
+# -- gbuffer ---------------------------------------------------------------------------------------
+
+_Camera = tuple[float, float, float, float, float, int, int]
+
+@final
+class Surface:
+    """A mesh prepared for drawing."""
+
+    def __new__(cls, mesh: Mesh) -> Surface: ...
+
+def gbuffer(
+    surfaces: list[Surface],
+    camera: _Camera,
+    R: NDArray[float64],
+    t: NDArray[float64],
+    channels: list[str],
+    normals: str,
+    attributes: list[NDArray[float64] | None],
+    uv: list[NDArray[float64] | None],
+    samples: int,
+    near: float | None,
+    double: bool,
+    threads: int,
+) -> dict[str, NDArray[Any] | None]:
+    """The planes named in ``channels``, ``(B, H, W, ...)``, by name."""
+
+def flow(
+    surfaces: list[Surface],
+    cameras: tuple[_Camera, _Camera],
+    R0: NDArray[float64],
+    t0: NDArray[float64],
+    R1: NDArray[float64],
+    t1: NDArray[float64],
+    background: tuple[NDArray[float64], NDArray[float64], NDArray[float64]] | None,
+    tolerance: float,
+    near: float | None,
+    double: bool,
+    threads: int,
+) -> tuple[NDArray[Any], NDArray[uint8]]:
+    """Flow ``(B, H, W, 2)`` in pixels and what became of each point ``(B, H, W)``."""
+
+# -- end of gbuffer --------------------------------------------------------------------------------

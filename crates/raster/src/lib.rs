@@ -12,6 +12,7 @@ pub mod camera;
 pub mod cli;
 pub mod error;
 pub mod eval;
+pub mod gbuffer;
 pub mod io;
 pub mod mesh;
 pub mod metrics;

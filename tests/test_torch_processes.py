@@ -1,0 +1,54 @@
+"""Silhouettes in data loaders' workers, forked and spawned."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+import scenes
+from dronepose import Mesh, render
+from scenes import CAMERA, TETRAHEDRON
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+import torch_workers  # noqa: E402
+
+FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
+PATIENCE = 120  # seconds: a process that hangs fails, a machine that is busy does not
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_the_workers_of_a_data_loader_draw_what_their_parent_draws(method):
+    data = torch_workers.Masks(6)
+    expected = [data[k] for k in range(6)]  # the parent's threads exist before the workers do
+    loader = torch.utils.data.DataLoader(
+        data, batch_size=2, num_workers=2, multiprocessing_context=method, timeout=PATIENCE
+    )
+    masks = torch.cat([mask for mask, _ in loader])
+    assert torch.equal(masks, torch.stack([mask for mask, _ in expected]))
+    gradients = torch.cat([gradient for _, gradient in loader])
+    assert torch.equal(gradients, torch.stack([gradient for _, gradient in expected]))
+    assert torch.equal(data[3][0], expected[3][0])  # and the parent goes on
+
+
+@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="cannot fork")
+def test_a_plain_fork_draws_too():
+    mesh, (R, t) = Mesh(*TETRAHEDRON), scenes.poses(np.random.default_rng(0), 5)
+    expected = render.silhouette(mesh, CAMERA, R, t)
+    kept = render.silhouette(mesh, CAMERA, R, t)
+    child = os.fork()
+    if child == 0:
+        try:
+            signal.alarm(PATIENCE)
+            same = np.array_equal(render.silhouette(mesh, CAMERA, R, t), expected)
+            g = render.silhouette_gradients(mesh, CAMERA, R, t, expected)
+            os._exit(0 if same and np.isfinite(g.R).all() and (kept == expected).all() else 1)
+        except BaseException:
+            os._exit(2)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    np.testing.assert_array_equal(render.silhouette(mesh, CAMERA, R, t), expected)
