@@ -17,7 +17,7 @@ use crate::raster::{Pixel, Size, View};
 pub const DEFAULT_TOLERANCE: f64 = 1e-6;
 
 /// Tiles of an image at most, and entries in them.
-const TILES: usize = 1 << 16;
+const TILES: usize = 1 << 18;
 const ENTRIES: usize = 1 << 26;
 
 /// What became of the point behind a pixel.
@@ -199,7 +199,7 @@ impl Pairs<'_> {
             let flow = split(&mut flow, 2 * pixels).unwrap_or_default();
             (flow, split(&mut fate, pixels).unwrap_or_default())
         });
-        band::draw(before, (size, rows), pieces, |band, fragments, (flow, fate)| {
+        band::draw_bands(before, (size, rows), pieces, |band, fragments, (flow, fate)| {
             let rows = flow.chunks_exact_mut(2 * size.width).zip(fate.chunks_exact_mut(size.width));
             for (row, (flow, fate)) in rows.enumerate() {
                 let v = (band.rows.start + row) as f64 + 0.5;
@@ -241,6 +241,8 @@ struct Tiles {
     columns: usize,
     starts: Vec<u32>,
     records: Vec<u32>,
+    /// The largest `1/z` of each.
+    nearest: Vec<f64>,
 }
 
 impl Tiles {
@@ -282,17 +284,18 @@ impl Tiles {
                 }
             }
         }
-        Self { side, columns, starts, records }
+        let nearest = records.iter().map(|&k| prepared.records[k as usize].range[1]).collect();
+        Self { side, columns, starts, records, nearest }
     }
 
     /// Whether a face at this point of the image has `1/z` above `nearness`.
     fn hides(&self, prepared: &Prepared, [u, v]: [f64; 2], nearness: f64) -> bool {
         let tile = v as usize / self.side * self.columns + u as usize / self.side;
         let records = self.starts[tile] as usize..self.starts[tile + 1] as usize;
-        self.records[records].iter().any(|&k| {
-            let record = &prepared.records[k as usize];
-            record.range[1] > nearness && record.at(u, v).is_some_and(|w| w > nearness)
-        })
+        let pairs = self.nearest[records.clone()].iter().zip(&self.records[records]);
+        pairs
+            .filter(|(nearest, _)| **nearest > nearness)
+            .any(|(_, &k)| prepared.records[k as usize].at(u, v).is_some_and(|w| w > nearness))
     }
 }
 
