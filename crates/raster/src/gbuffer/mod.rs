@@ -38,6 +38,7 @@ mod resolve;
 mod setup;
 #[cfg(test)]
 mod tests;
+mod tiles;
 
 use rayon::prelude::*;
 
