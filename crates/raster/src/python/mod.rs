@@ -9,6 +9,7 @@ mod evaluate;
 mod gbuffer;
 mod mesh;
 mod metrics;
+mod silhouette;
 
 #[pyo3::pymodule(gil_used = false)]
 mod _native {
@@ -19,7 +20,7 @@ mod _native {
     #[pymodule_export]
     use super::evaluate::evaluate;
     #[pymodule_export]
-    use super::gbuffer::{PySurface, flow, gbuffer};
+    use super::gbuffer::{flow, gbuffer};
     #[pymodule_export]
     use super::mesh::PyMesh;
     #[pymodule_export]
@@ -28,6 +29,8 @@ mod _native {
         matrix_from_quat_wxyz, matrix_from_quat_xyzw, mssd, npe, orientation_error, projection,
         quat_wxyz_from_matrix, symmetric_orientation_error, translation_error,
     };
+    #[pymodule_export]
+    use super::silhouette::{PyModel, silhouette, silhouette_gradients};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "the name that Python gives it")]
