@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -123,12 +122,6 @@ class Flow:
             array([[False]])
         """
         return self.visible | self.occluded | self.outside
-
-
-@lru_cache(maxsize=32)
-def _surface(mesh: _native.Mesh) -> _native.Surface:
-    """The mesh prepared for drawing; kept, for finding its edges takes longer than an image."""
-    return _native.Surface(mesh)
 
 
 def _meshes(mesh: Mesh | Sequence[Mesh]) -> tuple[list[Mesh], bool]:
@@ -311,7 +304,7 @@ def gbuffer(
             wanted.append(name)  # type: ignore[arg-type]
     batch, (flat_R, flat_t) = _poses(len(meshes) if several else None, R=R, t=t)
     planes = _native.gbuffer(
-        [_surface(m._native) for m in meshes],
+        [m._native for m in meshes],
         _camera(camera, "camera"),
         flat_R,
         flat_t,
@@ -415,7 +408,7 @@ def flow(
                 f"{batch}: {motion_R.shape}, {motion_t.shape}, {depth.shape}"
             ) from None
     vectors, fate = _native.flow(
-        [_surface(m._native) for m in meshes],
+        [m._native for m in meshes],
         (_camera(camera, "camera"), _camera(camera1 or camera, "camera1")),
         first_R,
         first_t,

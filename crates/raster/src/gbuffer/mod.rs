@@ -25,6 +25,8 @@
     reason = "loops over lanes have to be compiled for the wide registers, and without branches"
 )]
 
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 mod band;
 pub mod coverage;
 pub mod flow;
@@ -36,6 +38,7 @@ mod resolve;
 mod setup;
 #[cfg(test)]
 mod tests;
+mod tiles;
 
 use rayon::prelude::*;
 
@@ -268,7 +271,7 @@ impl Scenes<'_> {
                 prepared.prepare(self.surfaces, views, self.near(), set_up)?;
                 let rows = band::band_rows(self.size, 1);
                 let pieces = pieces(self.size, rows, |pixels| out.split(pixels, channels));
-                band::draw(prepared, (self.size, rows), pieces, |band, fragments, piece| {
+                band::draw_bands(prepared, (self.size, rows), pieces, |band, fragments, piece| {
                     let surfaces = (self.surfaces, views);
                     resolve::resolve(band, surfaces, (normals, channels), fragments, piece);
                 });

@@ -27,19 +27,11 @@ use crate::threads;
 /// `fx, fy, cx, cy, skew, width, height`.
 type Camera = (f64, f64, f64, f64, f64, usize, usize);
 
-/// A mesh prepared for drawing.
-#[pyclass(frozen, name = "Surface", module = "dronepose._native")]
-pub(super) struct PySurface {
-    model: Model,
-}
-
-#[pymethods]
-impl PySurface {
-    #[new]
-    fn new(py: Python<'_>, mesh: PyRef<'_, PyMesh>) -> PyResult<Self> {
-        let mesh = mesh.mesh();
-        Ok(Self { model: py.detach(|| Model::from_mesh(mesh))? })
-    }
+/// The meshes prepared for drawing, which each does once.
+fn models<'a>(py: Python<'_>, meshes: &'a [PyRef<'_, PyMesh>]) -> PyResult<Vec<&'a Model>> {
+    let meshes: Vec<&PyMesh> = meshes.iter().map(|mesh| &**mesh).collect();
+    let one = |mesh: &'a PyMesh| mesh.model().map(|model| &**model);
+    Ok(py.detach(|| meshes.into_iter().map(one).collect::<crate::Result<_>>())?)
 }
 
 /// Poses as views of a camera.
@@ -92,7 +84,7 @@ fn slice<'a, X: Element, D: Dimension>(
 #[pyfunction]
 pub(super) fn gbuffer<'py>(
     py: Python<'py>,
-    surfaces: Vec<PyRef<'py, PySurface>>,
+    meshes: Vec<PyRef<'py, PyMesh>>,
     camera: Camera,
     R: PyReadonlyArray3<'py, f64>,
     t: PyReadonlyArray2<'py, f64>,
@@ -105,7 +97,7 @@ pub(super) fn gbuffer<'py>(
     double: bool,
     threads: usize,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let meshes = Meshes::new(py, &surfaces, (&channels, normals), &attributes, &uv)?;
+    let meshes = Meshes::new(py, &meshes, (&channels, normals), &attributes, &uv)?;
     let views = views(&R, &t, camera)?;
     let request = Request { camera, views, channels, samples, near, threads };
     if double { request.draw::<f64>(py, &meshes) } else { request.draw::<f32>(py, &meshes) }
@@ -123,12 +115,12 @@ struct Meshes<'a> {
 impl<'a> Meshes<'a> {
     fn new(
         py: Python<'_>,
-        surfaces: &'a [PyRef<'_, PySurface>],
+        meshes: &'a [PyRef<'_, PyMesh>],
         (channels, normals): (&[String], &str),
         attributes: &'a [Option<PyReadonlyArray2<'_, f64>>],
         uv: &'a [Option<PyReadonlyArray3<'_, f64>>],
     ) -> PyResult<Self> {
-        let models: Vec<_> = surfaces.iter().map(|s| &s.model).collect();
+        let models = models(py, meshes)?;
         let weight = match normals {
             "flat" => None,
             "area" => Some(Weight::Area),
@@ -248,7 +240,7 @@ impl Request {
 #[pyfunction]
 pub(super) fn flow<'py>(
     py: Python<'py>,
-    surfaces: Vec<PyRef<'py, PySurface>>,
+    meshes: Vec<PyRef<'py, PyMesh>>,
     cameras: (Camera, Camera),
     R0: PyReadonlyArray3<'py, f64>,
     t0: PyReadonlyArray2<'py, f64>,
@@ -264,7 +256,8 @@ pub(super) fn flow<'py>(
     double: bool,
     threads: usize,
 ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyArrayDyn<u8>>)> {
-    let surfaces: Vec<_> = surfaces.iter().map(|s| Surface::new(&s.model)).collect();
+    let models = models(py, &meshes)?;
+    let surfaces: Vec<_> = models.iter().copied().map(Surface::new).collect();
     let (first, second) = (views(&R0, &t0, cameras.0)?, views(&R1, &t1, cameras.1)?);
     let backgrounds =
         background

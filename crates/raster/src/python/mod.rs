@@ -20,7 +20,7 @@ mod _native {
     #[pymodule_export]
     use super::evaluate::evaluate;
     #[pymodule_export]
-    use super::gbuffer::{PySurface, flow, gbuffer};
+    use super::gbuffer::{flow, gbuffer};
     #[pymodule_export]
     use super::mesh::PyMesh;
     #[pymodule_export]
