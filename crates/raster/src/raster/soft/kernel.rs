@@ -220,18 +220,14 @@ impl<R: Real> BlockSums<R> {
         if !any {
             return;
         }
-        for k in 0..3 {
-            for n in 0..4 {
-                let mut lanes = sums[k][n];
-                let mut half = LANES / 2;
-                while half > 0 {
-                    for l in 0..half {
-                        lanes[l] = lanes[l] + lanes[l + half];
-                    }
-                    half /= 2;
-                }
-                self.sums[k][n][lane] = lanes[0];
+        let mut fours = [[R::ZERO; 4]; 12];
+        for (four, lanes) in fours.iter_mut().zip(sums.as_flattened()) {
+            for l in 0..4 {
+                four[l] = (lanes[l] + lanes[l + 8]) + (lanes[l + 4] + lanes[l + 12]);
             }
+        }
+        for (sum, four) in self.sums.as_flattened_mut().iter_mut().zip(&fours) {
+            sum[lane] = (four[0] + four[2]) + (four[1] + four[3]);
         }
     }
 }
