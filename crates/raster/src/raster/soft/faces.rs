@@ -4,7 +4,7 @@ use super::real::{LANES, Real};
 use super::tiles::{SIDE, Units};
 
 /// Faces whose corners are further out than so many times the image are cut to its surroundings.
-const FAR: f64 = 4.0;
+const FAR: f64 = 1.5;
 
 /// The last pixel centre of a tile from its first, in tiles.
 const LAST: f64 = (SIDE - 1) as f64 / SIDE as f64;
