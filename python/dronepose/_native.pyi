@@ -3,12 +3,13 @@
 import os
 from typing import final
 
-from numpy import float64, int32, uint32
+from numpy import float32, float64, int32, uint32
 from numpy.typing import NDArray
 
 __all__ = [
     "Mesh",
     "MeshError",
+    "Model",
     "Symmetries",
     "__version__",
     "add",
@@ -25,6 +26,8 @@ __all__ = [
     "orientation_error",
     "projection",
     "quat_wxyz_from_matrix",
+    "silhouette",
+    "silhouette_gradients",
     "symmetric_orientation_error",
     "translation_error",
 ]
@@ -52,8 +55,21 @@ class Mesh:
     @property
     def diameter(self) -> float:
         """Metres."""
+    def model(self) -> Model:
+        """Prepared for drawing; made once."""
     def check(self) -> tuple[str, str]:
         """Facts as JSON, and a text for people."""
+
+@final
+class Model:
+    """A mesh prepared for drawing. Cheap to hand around."""
+
+    def __new__(cls, vertices: NDArray[float64], faces: NDArray[uint32]) -> Model: ...
+    def with_vertices(self, vertices: NDArray[float64]) -> Model:
+        """The same faces over other vertices, ``(V, 3)`` metres."""
+    @property
+    def size(self) -> tuple[int, int]:
+        """``(V, F)``."""
 
 @final
 class Symmetries:
@@ -167,3 +183,34 @@ def projection(
     threads: int,
 ) -> tuple[NDArray[float64], NDArray[float64]]:
     """MSPD and mean projection error, ``(N,)`` pixels each."""
+
+def silhouette(
+    models: list[Model],
+    R: NDArray[float64],
+    t: NDArray[float64],
+    K: NDArray[float64],
+    mode: str,
+    width: float,
+    cutoff: tuple[float, int] | None,
+    near: float | None,
+    threads: int,
+    out: NDArray[float32] | NDArray[float64],
+) -> None:
+    """Masks into ``out``, ``(B, H, W)``. ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``; ``width`` and
+    ``cutoff`` are those of the mode."""
+
+def silhouette_gradients(
+    models: list[Model],
+    R: NDArray[float64],
+    t: NDArray[float64],
+    K: NDArray[float64],
+    mode: str,
+    width: float,
+    cutoff: tuple[float, int] | None,
+    near: float | None,
+    threads: int,
+    upstream: NDArray[float32] | NDArray[float64],
+    vertices: bool,
+) -> tuple[NDArray[float64], NDArray[float64], NDArray[float64], list[NDArray[float64]]]:
+    """Gradients of ``sum(upstream * masks)`` for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked
+    for, the vertices of each model."""

@@ -2,7 +2,7 @@
 #![expect(clippy::needless_pass_by_value, reason = "array borrows come by value")]
 
 use std::path::PathBuf;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use glam::DVec3;
 use numpy::ndarray::Array2;
@@ -11,8 +11,10 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use super::error::in_mesh;
+use super::silhouette::PyModel;
 use crate::mesh::Mesh;
 use crate::metrics::VertexSet;
+use crate::raster::Model;
 
 /// Vertices in metres and triangles over them, with what the metrics precompute.
 #[pyclass(frozen, name = "Mesh", module = "dronepose._native")]
@@ -20,11 +22,13 @@ pub(super) struct PyMesh {
     mesh: Mesh,
     /// Made when a metric first asks for it.
     vertex_set: OnceLock<VertexSet>,
+    /// Made when it is first drawn.
+    model: OnceLock<Arc<Model>>,
 }
 
 impl PyMesh {
     fn from_core(mesh: Mesh) -> Self {
-        Self { mesh, vertex_set: OnceLock::new() }
+        Self { mesh, vertex_set: OnceLock::new(), model: OnceLock::new() }
     }
 
     /// The mesh, in metres.
@@ -39,6 +43,15 @@ impl PyMesh {
         }
         let set = VertexSet::with_hull(self.mesh.vertices(), self.mesh.hull_candidates())?;
         Ok(self.vertex_set.get_or_init(|| set))
+    }
+
+    /// The mesh prepared for drawing.
+    pub(super) fn model(&self) -> crate::Result<&Arc<Model>> {
+        if let Some(model) = self.model.get() {
+            return Ok(model);
+        }
+        let model = Arc::new(Model::from_mesh(&self.mesh)?);
+        Ok(self.model.get_or_init(|| model))
     }
 }
 
@@ -89,6 +102,13 @@ impl PyMesh {
     #[getter]
     fn diameter(&self, py: Python<'_>) -> f64 {
         py.detach(|| self.mesh.diameter())
+    }
+
+    /// Prepared for drawing; made once.
+    #[pyo3(name = "model")]
+    fn prepared(&self, py: Python<'_>) -> PyResult<PyModel> {
+        let model = py.detach(|| self.model().cloned())?;
+        Ok(PyModel::new(model))
     }
 
     /// Facts as JSON, and a text for people.

@@ -8,6 +8,7 @@ mod error;
 mod evaluate;
 mod mesh;
 mod metrics;
+mod silhouette;
 
 #[pyo3::pymodule(gil_used = false)]
 mod _native {
@@ -25,6 +26,8 @@ mod _native {
         matrix_from_quat_wxyz, matrix_from_quat_xyzw, mssd, npe, orientation_error, projection,
         quat_wxyz_from_matrix, symmetric_orientation_error, translation_error,
     };
+    #[pymodule_export]
+    use super::silhouette::{PyModel, silhouette, silhouette_gradients};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "the name that Python gives it")]

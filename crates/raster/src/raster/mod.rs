@@ -14,10 +14,13 @@
 //! of the mask, except where a mode's module says so.
 
 mod batch;
+mod blur;
 pub mod coverage;
 pub mod dibr;
 pub mod hard;
 mod model;
+mod order;
+mod outline;
 mod screen;
 pub mod sigmoid;
 mod topology;
@@ -77,7 +80,17 @@ pub struct Pytorch3dCutoff {
 }
 
 /// A pixel of a mask: `f32` or `f64`.
-pub trait Pixel: Copy + Default + PartialEq + Send + Sync + std::fmt::Debug + 'static {
+pub trait Pixel:
+    Copy
+    + Default
+    + PartialEq
+    + Send
+    + Sync
+    + std::fmt::Debug
+    + std::ops::Add<Output = Self>
+    + std::ops::Mul<Output = Self>
+    + 'static
+{
     /// Rounded to the type.
     fn from_f64(value: f64) -> Self;
     /// As `f64`, exactly.

@@ -21,14 +21,15 @@ pub struct Edge {
 pub struct Topology {
     /// For each vertex the first one at its position.
     pub representative: Vec<u32>,
-    /// For each representative, how many vertices that a face names are at its position.
-    pub copies: Vec<u32>,
+    /// For each vertex its share of what happens to its position: 1 over the number of vertices
+    /// there that a face names, 0 for a vertex that no face names.
+    pub share: Vec<f64>,
     /// The faces over representatives.
     pub faces: Vec<[u32; 3]>,
     /// Every edge once, in the order in which the faces name them; edges from a vertex to itself
     /// are left out.
     pub edges: Vec<Edge>,
-    /// Third and further faces at an edge: `(edge, coded face)`.
+    /// Third and further faces at an edge, in order: `(edge, coded face)`.
     pub more: Vec<(u32, u32)>,
 }
 
@@ -54,17 +55,20 @@ impl Topology {
     }
 
     fn of_welded(representative: Vec<u32>, faces: &[[u32; 3]]) -> Self {
-        let mut copies = vec![0; representative.len()];
-        let mut named = vec![false; representative.len()];
+        let mut share = vec![0.0; representative.len()];
+        let mut copies = vec![0_u32; representative.len()];
         for &v in faces.as_flattened() {
-            if !std::mem::replace(&mut named[v as usize], true) {
+            if std::mem::replace(&mut share[v as usize], 1.0) == 0.0 {
                 copies[representative[v as usize] as usize] += 1;
             }
+        }
+        for (share, &first) in share.iter_mut().zip(&representative) {
+            *share /= f64::from(copies[first as usize].max(1));
         }
         let faces: Vec<[u32; 3]> =
             faces.iter().map(|f| f.map(|v| representative[v as usize])).collect();
         let (edges, more) = edges(&faces);
-        Self { representative, copies, faces, edges, more }
+        Self { representative, share, faces, edges, more }
     }
 }
 
@@ -119,6 +123,7 @@ fn edges(faces: &[[u32; 3]]) -> (Vec<Edge>, Vec<(u32, u32)>) {
             }
         }
     }
+    more.sort_unstable();
     (edges, more)
 }
 
@@ -140,7 +145,7 @@ mod tests {
         let topology =
             Topology::new(&[7, 8, 9, 7, 8, 1], &[[0, 1, 2], [3, 4, 2], [0, 4, 5], [0, 3, 1]]);
         assert_eq!(topology.representative, [0, 1, 2, 0, 1, 5]);
-        assert_eq!(topology.copies, [2, 2, 1, 0, 0, 1]);
+        assert_eq!(topology.share, [0.5, 0.5, 1.0, 0.5, 0.5, 1.0]);
         let shared = topology.edges.iter().position(|e| (e.a, e.b) == (0, 1)).expect("there");
         assert_eq!(topology.edges[shared].faces, [0, 2]);
         // The last face runs 0, 0, 1: once along the edge, once back.

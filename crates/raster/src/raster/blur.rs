@@ -1,0 +1,211 @@
+//! A separable Gaussian of 2 r + 1 taps, r = ceil(4 sigma), and its adjoint.
+//!
+//! The taps are `exp(-k^2 / (2 sigma^2))`, divided by their sum. Forward, the image is the middle of
+//! a canvas that is wider by r on every side, so that the border of the image changes nothing.
+
+use std::any::Any;
+use std::cell::RefCell;
+
+use multiversion::multiversion;
+
+use super::{Pixel, Size};
+
+/// The taps; one tap is no blur.
+#[derive(Debug, Clone)]
+pub(super) struct Kernel {
+    taps: Vec<f64>,
+}
+
+thread_local! {
+    static CANVASES: RefCell<[Option<Box<dyn Any>>; 2]> = const { RefCell::new([None, None]) };
+}
+
+/// Lend a buffer of this thread.
+pub(super) fn with_canvas<T: Pixel, R>(work: impl FnOnce(&mut Vec<T>) -> R) -> R {
+    let slot = usize::from(size_of::<T>() == 8);
+    let kept = CANVASES.with_borrow_mut(|c| c[slot].take());
+    let mut canvas = kept.and_then(|c| c.downcast::<Vec<T>>().ok()).unwrap_or_default();
+    let out = work(&mut canvas);
+    CANVASES.with_borrow_mut(|c| c[slot] = Some(canvas));
+    out
+}
+
+impl Kernel {
+    /// For a standard deviation in pixels; 0 is no blur.
+    pub(super) fn new(sigma: f64) -> Self {
+        if sigma <= 0.0 {
+            return Self { taps: vec![1.0] };
+        }
+        let radius = (4.0 * sigma).ceil();
+        let taps: Vec<f64> = (0..=2 * radius as usize)
+            .map(|k| k as f64 - radius)
+            .map(|x| (-x * x / (2.0 * sigma * sigma)).exp())
+            .collect();
+        let sum: f64 = taps.iter().sum();
+        Self { taps: taps.into_iter().map(|t| t / sum).collect() }
+    }
+
+    /// Pixels on either side.
+    pub(super) fn radius(&self) -> usize {
+        self.taps.len() / 2
+    }
+
+    /// Height and width of the canvas of an image.
+    pub(super) fn padded(&self, size: Size) -> (usize, usize) {
+        (size.height + 2 * self.radius(), size.width + 2 * self.radius())
+    }
+
+    /// The image `out` from the part `rows` x `columns` (half open) of its canvas; the rest of the
+    /// canvas is 0.
+    pub(super) fn forward<T: Pixel>(
+        &self,
+        canvas: &[T],
+        rows: (usize, usize),
+        columns: (usize, usize),
+        size: Size,
+        out: &mut [T],
+    ) {
+        let r = self.radius();
+        let taps: Vec<T> = self.taps.iter().map(|&t| T::from_f64(t)).collect();
+        let width = columns.1 - columns.0;
+        let mut line = vec![T::default(); width + 2 * r];
+        out.fill(T::default());
+        // Image row i takes canvas rows i to i + 2 r; likewise columns.
+        let last = rows.1.min(size.height);
+        for i in rows.0.saturating_sub(2 * r)..last {
+            let middle = &mut line[r..r + width];
+            middle.fill(T::default());
+            for (k, &tap) in taps.iter().enumerate() {
+                if (rows.0..rows.1).contains(&(i + k)) {
+                    let from = (i + k - rows.0) * width;
+                    add_scaled(middle, &canvas[from..from + width], tap);
+                }
+            }
+            let first = columns.0.saturating_sub(2 * r);
+            let end = columns.1.min(size.width);
+            let target = &mut out[i * size.width..][first..end.max(first)];
+            for (l, &tap) in taps.iter().enumerate() {
+                // Image column j takes canvas column j + l, that is line[j + l - columns.0 + r].
+                let begin = columns.0.saturating_sub(l).max(first);
+                let stop = (columns.1 - l.min(columns.1)).min(end);
+                if begin < stop {
+                    let from = begin + l - columns.0 + r;
+                    add_scaled(
+                        &mut target[begin - first..stop - first],
+                        &line[from..from + stop - begin],
+                        tap,
+                    );
+                }
+            }
+        }
+    }
+
+    /// The gradient for the part `rows` x `columns` of the canvas from the one for the image.
+    pub(super) fn adjoint<T: Pixel>(
+        &self,
+        upstream: &[T],
+        size: Size,
+        rows: (usize, usize),
+        columns: (usize, usize),
+        canvas: &mut Vec<T>,
+    ) {
+        let r = self.radius();
+        let taps: Vec<T> = self.taps.iter().map(|&t| T::from_f64(t)).collect();
+        let width = columns.1 - columns.0;
+        canvas.clear();
+        canvas.resize((rows.1 - rows.0) * width, T::default());
+        // Canvas column c gives to image columns c - 2 r to c.
+        let first = columns.0.saturating_sub(2 * r).min(size.width);
+        let end = columns.1.min(size.width).max(first);
+        let mut line = vec![T::default(); end - first];
+        for i in rows.0..rows.1 {
+            line.fill(T::default());
+            for (k, &tap) in taps.iter().enumerate() {
+                if i >= k && i - k < size.height {
+                    let from = (i - k) * size.width;
+                    add_scaled(&mut line, &upstream[from + first..from + end], tap);
+                }
+            }
+            let target = &mut canvas[(i - rows.0) * width..][..width];
+            for (l, &tap) in taps.iter().enumerate() {
+                // Canvas column c takes image column c - l.
+                let begin = columns.0.max(first + l);
+                let stop = columns.1.min(end + l);
+                if begin < stop {
+                    let from = begin - l - first;
+                    add_scaled(
+                        &mut target[begin - columns.0..stop - columns.0],
+                        &line[from..from + stop - begin],
+                        tap,
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// `to += tap * from`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+fn add_scaled<T: Pixel>(to: &mut [T], from: &[T], tap: T) {
+    for (to, &from) in to.iter_mut().zip(from) {
+        *to = *to + tap * from;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(n: usize) -> Vec<f64> {
+        (0..n).map(|k| ((k * 7919 + 13) % 101) as f64 / 101.0 - 0.4).collect()
+    }
+
+    /// The definition: every tap of every pixel.
+    fn slow(kernel: &Kernel, canvas: &[f64], size: Size) -> Vec<f64> {
+        let (_, width) = kernel.padded(size);
+        let mut out = vec![0.0; size.pixels()];
+        for i in 0..size.height {
+            for j in 0..size.width {
+                for (k, a) in kernel.taps.iter().enumerate() {
+                    for (l, b) in kernel.taps.iter().enumerate() {
+                        out[i * size.width + j] += a * b * canvas[(i + k) * width + j + l];
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn a_part_of_the_canvas_is_blurred_as_the_whole_and_the_adjoint_is_one() {
+        let size = Size { height: 9, width: 13 };
+        for sigma in [0.4, 1.0, 2.5] {
+            let kernel = Kernel::new(sigma);
+            let (height, width) = kernel.padded(size);
+            for (rows, columns) in [
+                ((0, height), (0, width)),
+                ((2, 5), (3, 4)),
+                ((height - 1, height), (width - 2, width)),
+            ] {
+                let part = noise((rows.1 - rows.0) * (columns.1 - columns.0));
+                let mut canvas = vec![0.0; height * width];
+                for i in rows.0..rows.1 {
+                    for j in columns.0..columns.1 {
+                        canvas[i * width + j] =
+                            part[(i - rows.0) * (columns.1 - columns.0) + j - columns.0];
+                    }
+                }
+                let mut out = vec![1.0; size.pixels()];
+                kernel.forward(&part, rows, columns, size, &mut out);
+                for (a, b) in out.iter().zip(slow(&kernel, &canvas, size)) {
+                    assert!((a - b).abs() < 1e-14, "{a} {b}");
+                }
+                let upstream = noise(size.pixels());
+                let mut back = Vec::new();
+                kernel.adjoint(&upstream, size, rows, columns, &mut back);
+                let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+                assert!((dot(&out, &upstream) - dot(&part, &back)).abs() < 1e-12);
+            }
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! Net edges row by row and pixel by pixel: which pixels an outline can run through.
+//!
+//! The number of layers at the upper left corner of a pixel counts the edges that cross the upper
+//! side of the row to its left. A pixel that no edge enters is covered or not; one whose corner has
+//! more layers than the edges in it can take away is covered; only the others are solved. Nothing
+//! is carried from one pixel to the next but whole numbers, so no rounding error can spread.
+
+use super::super::order::RowOrder;
+use super::super::outline::{Extent, NetEdge};
+use super::cell::{LEFT_0, LEFT_1, Piece, TOP};
+
+/// The part of an edge inside a row, in pixels; `y` from the top of the row.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    x0: f64,
+    y0: f64,
+    x1: f64,
+    y1: f64,
+    edge: u32,
+    step: i32,
+    /// Columns of the two ends, on the canvas, and one beyond it on either side.
+    c0: i32,
+    c1: i32,
+    top: bool,
+}
+
+/// What a row consists of, from left to right.
+pub(super) trait Visitor {
+    /// A row begins.
+    fn row(&mut self, row: usize);
+    /// Pixels `from..to` that no outline enters.
+    fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool);
+    /// A pixel to solve; coordinates are from its upper left corner.
+    fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32);
+}
+
+/// Buffers of a walk.
+#[derive(Debug, Default)]
+pub(super) struct Rows {
+    order: RowOrder,
+    parts: Vec<Part>,
+    /// For each column: change of layers at its upper left corner.
+    change: Vec<i32>,
+    /// For each column: how many parts enter it and how many layers they can take away.
+    entered: Vec<(u32, i32)>,
+    /// For each column to solve: where its pieces go.
+    place: Vec<u32>,
+    pieces: Vec<Piece>,
+    todo: Vec<(u32, u32, u32, i32)>,
+}
+
+const NOWHERE: u32 = u32::MAX;
+
+impl Rows {
+    /// Visit the pixels of the extent.
+    pub(super) fn walk(&mut self, edges: &[NetEdge], extent: Extent, visitor: &mut impl Visitor) {
+        let (first, last) = extent.rows;
+        self.order.begin(edges, first, last);
+        let (c0, c1) = extent.columns;
+        let columns = c1 - c0;
+        self.change.clear();
+        self.change.resize(columns + 1, 0);
+        self.entered.clear();
+        self.entered.resize(columns, (0, 0));
+        self.place.clear();
+        self.place.resize(columns, NOWHERE);
+        for row in first..last {
+            visitor.row(row);
+            self.order.enter(row - first);
+            self.cut_row(edges, row, c0 as i32, c1 as i32);
+            self.visit_row(row, c0, columns, visitor);
+        }
+    }
+
+    /// The parts of the active edges in a row; edges that end there are dropped.
+    fn cut_row(&mut self, edges: &[NetEdge], row: usize, c0: i32, c1: i32) {
+        let (top, bottom) = (row as f64, (row + 1) as f64);
+        self.parts.clear();
+        let mut kept = 0;
+        for k in 0..self.order.active.len() {
+            let id = self.order.active[k];
+            let e = &edges[id as usize];
+            let from_above = e.y0 < top;
+            let goes_on = e.y1 >= bottom;
+            if goes_on {
+                self.order.active[kept] = id;
+                kept += 1;
+            }
+            let (x0, y0) = if from_above { (e.x_at(top), 0.0) } else { (e.x0, e.y0 - top) };
+            let (x1, y1) = if goes_on { (e.x_at(bottom), 1.0) } else { (e.x1, e.y1 - top) };
+            let column = |x: f64| {
+                // One column beyond the canvas stands for all.
+                if x < f64::from(c0) {
+                    c0 - 1
+                } else if x >= f64::from(c1) {
+                    c1
+                } else {
+                    x as i32
+                }
+            };
+            let (a, b) = (column(x0), column(x1));
+            if from_above && a < c1 {
+                self.change[(a + 1 - c0) as usize] += e.step;
+            }
+            let (low, high) = if a < b { (a, b) } else { (b, a) };
+            if high < c0 || low >= c1 {
+                continue;
+            }
+            for c in low.max(c0)..=high.min(c1 - 1) {
+                let entered = &mut self.entered[(c - c0) as usize];
+                entered.0 += 1;
+                entered.1 += e.step.abs();
+            }
+            self.parts.push(Part {
+                x0,
+                y0,
+                x1,
+                y1,
+                edge: id,
+                step: e.step,
+                c0: a,
+                c1: b,
+                top: from_above,
+            });
+        }
+        self.order.active.truncate(kept);
+    }
+
+    fn visit_row(&mut self, row: usize, c0: usize, columns: usize, visitor: &mut impl Visitor) {
+        let (mut layers, mut begin, mut covered) = (0, 0, false);
+        let mut total = 0;
+        self.todo.clear();
+        for c in 0..columns {
+            layers += std::mem::take(&mut self.change[c]);
+            let (count, mass) = std::mem::take(&mut self.entered[c]);
+            if count > 0 && layers <= mass {
+                if begin < c {
+                    visitor.plain(row, c0 + begin, c0 + c, covered);
+                }
+                begin = c + 1;
+                self.place[c] = total;
+                self.todo.push((c as u32, total, count, layers));
+                total += count;
+                continue;
+            }
+            let now = layers > 0;
+            if now != covered {
+                if begin < c {
+                    visitor.plain(row, c0 + begin, c0 + c, covered);
+                    begin = c;
+                }
+                covered = now;
+            }
+        }
+        if begin < columns {
+            visitor.plain(row, c0 + begin, c0 + columns, covered);
+        }
+        self.change[columns] = 0;
+        if self.todo.is_empty() {
+            return;
+        }
+        if self.pieces.len() < total as usize {
+            self.pieces.resize(total as usize, Piece::default());
+        }
+        for k in 0..self.parts.len() {
+            let part = self.parts[k];
+            self.cut_columns(&part, c0 as i32, (c0 + columns) as i32);
+        }
+        for &(c, place, count, layers) in &self.todo {
+            self.place[c as usize] = NOWHERE;
+            let pieces = &self.pieces[place as usize..(place + count) as usize];
+            visitor.pixel(row, c0 + c as usize, pieces, layers);
+        }
+    }
+
+    /// The pieces of a part in the columns to solve.
+    #[inline(always)]
+    fn cut_columns(&mut self, part: &Part, c0: i32, c1: i32) {
+        let Part { x0, y0, x1, y1, edge, step, c0: a, c1: b, top } = *part;
+        let first = if top { TOP } else { 0 };
+        let mut add = |c: i32, piece: Piece| {
+            let place = &mut self.place[(c - c0) as usize];
+            if *place != NOWHERE {
+                let x = f64::from(c);
+                let within = |x: f64| {
+                    if x < 0.0 {
+                        0.0
+                    } else if x > 1.0 {
+                        1.0
+                    } else {
+                        x
+                    }
+                };
+                self.pieces[*place as usize] =
+                    Piece { x0: within(piece.x0 - x), x1: within(piece.x1 - x), ..piece };
+                *place += 1;
+            }
+        };
+        if a == b {
+            add(a, Piece { x0, y0, x1, y1, step, edge, flags: first });
+            return;
+        }
+        let slope = (y1 - y0) / (x1 - x0);
+        let at = |x: f64, after: f64| {
+            let y = y0 + (x - x0) * slope;
+            let y = if y < after { after } else { y };
+            if y > y1 { y1 } else { y }
+        };
+        let (mut x, mut y, mut flags) = (x0, y0, first);
+        if a < b {
+            for c in a..=b {
+                if c >= c1 {
+                    break;
+                }
+                let (to, below) =
+                    if c == b { (x1, y1) } else { (f64::from(c + 1), at(f64::from(c + 1), y)) };
+                if c >= c0 {
+                    add(c, Piece { x0: x, y0: y, x1: to, y1: below, step, edge, flags });
+                }
+                (x, y, flags) = (to, below, LEFT_0);
+            }
+        } else {
+            for c in (b..=a).rev() {
+                if c < c0 {
+                    break;
+                }
+                let (to, below) =
+                    if c == b { (x1, y1) } else { (f64::from(c), at(f64::from(c), y)) };
+                if c < c1 {
+                    let flags = if c == b { flags } else { flags | LEFT_1 };
+                    add(c, Piece { x0: x, y0: y, x1: to, y1: below, step, edge, flags });
+                }
+                (x, y, flags) = (to, below, 0);
+            }
+        }
+    }
+}

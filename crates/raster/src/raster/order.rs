@@ -1,0 +1,48 @@
+//! Edges in the order of the rows they start in.
+
+use super::outline::NetEdge;
+
+/// For each row of a range, the edges that are in it.
+#[derive(Debug, Default)]
+pub(super) struct RowOrder {
+    /// Edges that start in row `r` of the range (or before it, for the first):
+    /// `order[start[r]..start[r + 1]]`.
+    start: Vec<u32>,
+    order: Vec<u32>,
+    /// Edges in the current row.
+    pub(super) active: Vec<u32>,
+}
+
+impl RowOrder {
+    /// Begin with row `first`; rows up to `last` follow.
+    pub(super) fn begin(&mut self, edges: &[NetEdge], first: usize, last: usize) {
+        let rows = last - first;
+        let row = |e: &NetEdge| ((e.y0 - first as f64).max(0.0) as usize).min(rows);
+        let inside = |e: &NetEdge| e.y1 >= first as f64;
+        self.active.clear();
+        self.start.clear();
+        self.start.resize(rows + 2, 0);
+        for e in edges.iter().filter(|e| inside(e)) {
+            self.start[row(e) + 1] += 1;
+        }
+        for k in 1..self.start.len() {
+            self.start[k] += self.start[k - 1];
+        }
+        self.order.clear();
+        self.order.resize(edges.len(), 0);
+        for (id, e) in edges.iter().enumerate().filter(|(_, e)| inside(e)) {
+            let slot = &mut self.start[row(e)];
+            self.order[*slot as usize] = id as u32;
+            *slot += 1;
+        }
+        // Each start has become the next one.
+        self.start.copy_within(0..=rows, 1);
+        self.start[0] = 0;
+    }
+
+    /// Add the edges that start in a row, counted from the first.
+    pub(super) fn enter(&mut self, row: usize) {
+        let starting = self.start[row] as usize..self.start[row + 1] as usize;
+        self.active.extend_from_slice(&self.order[starting]);
+    }
+}

@@ -1,0 +1,164 @@
+//! The edges that can bound the union of the projected triangles, with what is on their two sides.
+//!
+//! Turn every projected triangle the same way round; its three directed edges then have one layer
+//! more on their inner side than on their outer one. Added up over all triangles, edges inside a
+//! surface cancel, and what is left, the *net edges*, are closed curves whose winding number at a
+//! point is the number of triangles that cover it. The union is where that number is above zero.
+//! Nothing is said about the order of the faces, their winding, duplicates, open borders or edges
+//! with more than two faces: they all are sums.
+
+use super::{Model, Screen, Topology};
+
+/// A net edge from its upper end to its lower one; a horizontal edge from left to right.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct NetEdge {
+    /// Upper end, in pixels.
+    pub(super) x0: f64,
+    pub(super) y0: f64,
+    /// Lower end.
+    pub(super) x1: f64,
+    pub(super) y1: f64,
+    /// `dx / dy`; 0 for a horizontal edge.
+    pub(super) slope: f64,
+    /// Image points at the two ends.
+    pub(super) from: u32,
+    pub(super) to: u32,
+    /// Layers on the right of the edge minus layers on its left; for a horizontal edge, above
+    /// minus below. Never 0.
+    pub(super) step: i32,
+}
+
+impl NetEdge {
+    /// Where the edge is at height `y`, between its ends.
+    #[inline(always)]
+    pub(super) fn x_at(&self, y: f64) -> f64 {
+        let x = self.x0 + (y - self.y0) * self.slope;
+        let (low, high) = if self.x0 < self.x1 { (self.x0, self.x1) } else { (self.x1, self.x0) };
+        let x = if x < low { low } else { x };
+        if x > high { high } else { x }
+    }
+}
+
+/// Rows that the edges reach, and the leftmost and rightmost column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Extent {
+    pub(super) rows: (usize, usize),
+    pub(super) columns: (usize, usize),
+}
+
+/// The net edges of a screen.
+#[derive(Debug, Default)]
+pub(super) struct Outline {
+    pub(super) edges: Vec<NetEdge>,
+    /// Whether an edge was left out because it lies to the right of the canvas.
+    pub(super) beyond: bool,
+    /// +1, -1 or 0 for each face, and a 0 after the last.
+    signs: Vec<i8>,
+    /// Of the faces cut at the near plane, if any were.
+    clipped: Option<Topology>,
+}
+
+impl Outline {
+    /// Find the net edges, moved by `(shift, shift)` pixels. Those that lie above, below or to
+    /// the right of the canvas of `height` x `width` pixels are left out.
+    pub(super) fn find(
+        &mut self,
+        model: &Model,
+        screen: &Screen,
+        shift: f64,
+        height: f64,
+        width: f64,
+    ) {
+        self.clipped = screen.is_clipped().then(|| {
+            let keys: Vec<[u64; 2]> = (screen.u.iter().zip(&screen.v))
+                .map(|(&u, &v)| [(u + 0.0).to_bits(), (v + 0.0).to_bits()])
+                .collect();
+            Topology::new(&keys, screen.faces(model))
+        });
+        let topology = self.clipped.as_ref().unwrap_or(model.topology());
+        let (u, v) = (&screen.u[..], &screen.v[..]);
+        self.signs.clear();
+        self.signs.resize(topology.faces.len() + 1, 0);
+        orient(u, v, &topology.faces, &mut self.signs);
+        self.edges.clear();
+        self.beyond = false;
+        let mut more = topology.more.iter().peekable();
+        for (id, edge) in topology.edges.iter().enumerate() {
+            let mut net = self.side(edge.faces[0]) + self.side(edge.faces[1]);
+            while let Some((_, code)) = more.next_if(|m| m.0 as usize == id) {
+                net += self.side(*code);
+            }
+            if net == 0 {
+                continue;
+            }
+            let (a, b) = (edge.a as usize, edge.b as usize);
+            let (xa, ya, xb, yb) = (u[a] + shift, v[a] + shift, u[b] + shift, v[b] + shift);
+            let down = ya < yb || (ya == yb && xa < xb);
+            let (x0, y0, x1, y1, from, to, step) = if down {
+                (xa, ya, xb, yb, edge.a, edge.b, -net)
+            } else {
+                (xb, yb, xa, ya, edge.b, edge.a, net)
+            };
+            let right = if x0 < x1 { x0 } else { x1 };
+            if y1 < 0.0 || y0 >= height || (x0 == x1 && y0 == y1) {
+                continue;
+            }
+            if right >= width {
+                self.beyond = true;
+                continue;
+            }
+            let slope = if y1 > y0 { (x1 - x0) / (y1 - y0) } else { 0.0 };
+            self.edges.push(NetEdge { x0, y0, x1, y1, slope, from, to, step });
+        }
+    }
+
+    /// The part of a canvas that the union can reach, half open; `None` if none.
+    pub(super) fn extent(&self, height: usize, width: usize) -> Option<Extent> {
+        let (mut top, mut bottom) = (f64::INFINITY, f64::NEG_INFINITY);
+        let (mut left, mut right) = (f64::INFINITY, f64::NEG_INFINITY);
+        for e in &self.edges {
+            top = if e.y0 < top { e.y0 } else { top };
+            bottom = if e.y1 > bottom { e.y1 } else { bottom };
+            let (low, high) = if e.x0 < e.x1 { (e.x0, e.x1) } else { (e.x1, e.x0) };
+            left = if low < left { low } else { left };
+            right = if high > right { high } else { right };
+        }
+        // Edges to the right of the canvas are not in the list, but bound what is on it.
+        right = if self.beyond { width as f64 } else { right };
+        let end = |x: f64, n: usize| (x.max(0.0).min(n as f64 - 1.0)) as usize + 1;
+        let begin = |x: f64, n: usize| (x.max(0.0).min(n as f64 - 1.0)) as usize;
+        (top < height as f64 && bottom >= 0.0).then(|| Extent {
+            rows: (begin(top, height), end(bottom, height)),
+            columns: (begin(left, width), end(right, width)),
+        })
+    }
+
+    /// Layers that a face adds on the inner side of the edge from `a` to `b`.
+    #[inline(always)]
+    fn side(&self, code: u32) -> i32 {
+        let sign = i32::from(self.signs[(code >> 1) as usize]);
+        if code & 1 == 0 { sign } else { -sign }
+    }
+
+    /// Vertices at one position move together: share what the first of them has got among all
+    /// that a face names. With a cut at the near plane the positions are those in the image.
+    pub(super) fn share(&self, model: &Model, gradient: &mut [f64]) {
+        let topology = self.clipped.as_ref().unwrap_or(model.topology());
+        for (k, (&first, &share)) in
+            topology.representative.iter().zip(&topology.share).enumerate().rev()
+        {
+            if share != 1.0 {
+                gradient[k] = gradient[first as usize] * share;
+            }
+        }
+    }
+}
+
+/// Which way round each projected triangle runs: +1, -1, or 0 without area.
+fn orient(u: &[f64], v: &[f64], faces: &[[u32; 3]], signs: &mut [i8]) {
+    for (face, sign) in faces.iter().zip(signs) {
+        let [a, b, c] = face.map(|k| k as usize);
+        let area = (u[b] - u[a]) * (v[c] - v[a]) - (v[b] - v[a]) * (u[c] - u[a]);
+        *sign = i8::from(area > 0.0) - i8::from(area < 0.0);
+    }
+}
