@@ -116,6 +116,9 @@ pub struct Args {
     /// Picture behind overlays, or a folder with ID.png or ID.jpg for each pose
     #[arg(long, value_name = "PICTURE|FOLDER", help_heading = "Output")]
     pub background: Option<PathBuf>,
+    /// Draw overlays so many times as large as the camera's pictures
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16), help_heading = "Output")]
+    pub zoom: u32,
     /// Draw everything again, also over what was drawn in another way
     #[arg(long, help_heading = "Output")]
     pub force: bool,

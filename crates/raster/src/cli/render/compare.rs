@@ -3,7 +3,7 @@
 use super::layers::Layers;
 use crate::draw::{Canvas, Cell, ORANGE, TEAL, contour, sheet};
 use crate::error::Result;
-use crate::raster::Mode;
+use crate::raster::{Mode, Size};
 
 /// How wide a picture is shown.
 const SHOWN: usize = 320;
@@ -26,22 +26,18 @@ fn area(mask: &[f32]) -> f64 {
 
 /// The picture for a frame.
 pub(super) fn compare(layers: &Layers<'_>, modes: &[Mode]) -> Result<Canvas> {
-    let (width, height) = (layers.scene.size.width, layers.scene.size.height);
-    let exact = layers.mask(Mode::Coverage { sigma: 0.0 })?;
+    let Size { width, height } = layers.frame.size();
     let masks: Vec<Vec<f32>> = modes.iter().map(|m| layers.mask(*m)).collect::<Result<_>>()?;
-    let truth = area(&exact);
+    let truth = area(&layers.exact()?);
     let long = width.max(height);
     let (w, h) =
         ((PIECE * width).div_ceil(long).min(width), (PIECE * height).div_ceil(long).min(height));
     let (x, y) = busiest(&masks, width, (w, h));
     let times = (SHOWN / w).max(1);
-    // The outline where the exact coverage is one half.
-    let outline: Vec<_> = contour(&exact, width, height, 0.5)
-        .into_iter()
-        .map(|line| {
-            line.map(|[u, v]| [(u - x as f64) * times as f64, (v - y as f64) * times as f64])
-        })
-        .collect();
+    // The outline of the mesh in a picture that is as fine as the magnified one.
+    let frame = layers.frame.window([x, y], Size { height: h, width: w }, times);
+    let fine = Layers::new(layers.scene, &frame).exact()?;
+    let outline = contour(&fine, w * times, h * times, 0.5);
     let mut wholes = Vec::new();
     let mut pieces = Vec::new();
     for (mode, mask) in modes.iter().zip(&masks) {

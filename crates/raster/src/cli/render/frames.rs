@@ -27,6 +27,31 @@ pub(super) struct Frame {
     pub(super) background: Option<PathBuf>,
 }
 
+impl Frame {
+    /// Of the picture.
+    pub(super) fn size(&self) -> Size {
+        let side = |n: Option<u32>| n.unwrap_or(0) as usize;
+        let camera = &self.view.camera;
+        Size { height: side(camera.height), width: side(camera.width) }
+    }
+
+    /// The rectangle at `(x, y)` of this size in pixels, each pixel drawn as `times` by `times`.
+    pub(super) fn window(&self, corner: [usize; 2], size: Size, times: usize) -> Self {
+        let (k, s) = (self.view.camera, times as f64);
+        let [x, y] = corner.map(|c| c as f64);
+        let moved = Intrinsics {
+            fx: s * k.fx,
+            fy: s * k.fy,
+            cx: s * (k.cx - x),
+            cy: s * (k.cy - y),
+            skew: s * k.skew,
+            ..k
+        };
+        let camera = moved.with_size((size.width * times) as u32, (size.height * times) as u32);
+        Self { view: View { camera, ..self.view }, ..self.clone() }
+    }
+}
+
 /// Longest name of a file, so that endings and the marks of unfinished files still fit.
 const LONGEST_NAME: usize = 120;
 

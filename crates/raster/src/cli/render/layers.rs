@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use super::frames::Frame;
 use crate::error::Result;
-use crate::raster::{Batch, Mode, Model, Screen, Size};
+use crate::raster::{Batch, Mode, Model, Screen};
 
 /// What all frames share.
 #[derive(Debug)]
@@ -15,7 +15,6 @@ pub(super) struct Scene {
     pub(super) model: Model,
     /// The box around the mesh, in metres.
     pub(super) bounds: (DVec3, DVec3),
-    pub(super) size: Size,
     pub(super) near: f64,
     /// Of the silhouette.
     pub(super) mode: Mode,
@@ -55,12 +54,17 @@ impl<'a> Layers<'a> {
 
     /// The mask in any mode, `(H, W)`.
     pub(super) fn mask(&self, mode: Mode) -> Result<Vec<f32>> {
-        let Scene { model, size, near, .. } = self.scene;
+        let Scene { model, near, .. } = self.scene;
+        let size = self.frame.size();
         let mut mask = vec![0.0; size.pixels()];
         let views = [self.frame.view];
-        Batch { models: &[model], views: &views, size: *size, mode, near: Some(*near) }
-            .draw(&mut mask)?;
+        Batch { models: &[model], views: &views, size, mode, near: Some(*near) }.draw(&mut mask)?;
         Ok(mask)
+    }
+
+    /// The area of the mesh in each pixel, `(H, W)`.
+    pub(super) fn exact(&self) -> Result<Vec<f32>> {
+        self.mask(Mode::Coverage { sigma: 0.0 })
     }
 
     /// Something was drawn, and nothing of the mesh is in it.
@@ -82,7 +86,7 @@ impl<'a> Layers<'a> {
 
 /// The nearest face at the centre of each pixel.
 fn surface(scene: &Scene, frame: &Frame) -> Result<Surface> {
-    let Scene { model, size, near, .. } = scene;
+    let (Scene { model, near, .. }, size) = (scene, frame.size());
     let mut screen = Screen::default();
     screen.project(model, &frame.view, *near)?;
     let mut depth = vec![0.0_f32; size.pixels()];

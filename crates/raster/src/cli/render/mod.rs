@@ -42,6 +42,8 @@ struct Job {
     formats: Vec<FileFormat>,
     /// The four modes, for the comparison.
     modes: Vec<Mode>,
+    /// Of overlays.
+    zoom: usize,
     warnings: Vec<String>,
 }
 
@@ -133,7 +135,7 @@ fn plan(args: &Args, line: &[String]) -> Result<(Job, Manifest)> {
     let frames = frames::select(args, &table, &camera)?;
     let bounds = mesh.bounds();
     let mode = args.mode(args.mode);
-    let scene = Scene { model, bounds, size: camera.size, near: args.near, mode };
+    let scene = Scene { model, bounds, near: args.near, mode };
     let modes = [ModeName::Coverage, ModeName::Hard, ModeName::Dibr, ModeName::Sigmoid];
     let mut job = Job {
         scene,
@@ -141,6 +143,7 @@ fn plan(args: &Args, line: &[String]) -> Result<(Job, Manifest)> {
         layers: args.layers(),
         formats: args.formats(),
         modes: modes.map(|m| args.mode(m)).to_vec(),
+        zoom: args.zoom as usize,
         warnings: std::mem::take(&mut table.warnings),
     };
     for frame in &job.frames {
@@ -238,6 +241,9 @@ fn settings(
     if args.contact_sheet || pictures.iter().any(|l| job.layers.contains(l)) {
         let background = args.background.as_ref().map(|p| p.display().to_string());
         set("background", json!(background));
+    }
+    if job.layers.contains(&Layer::Overlay) {
+        set("zoom", json!(args.zoom));
     }
     settings
 }
@@ -408,14 +414,14 @@ fn draw_frame(
             if there.contains(&file) {
                 continue;
             }
-            let saved = save::layer(&layers, layer, format, &job.modes)?;
-            outputs.write(&args.out.join(file), |out| saved.write(out, job.scene.size))?;
+            let saved = save::layer(&layers, layer, format, &job.modes, job.zoom)?;
+            outputs.write(&args.out.join(file), |out| saved.write(out, frame.size()))?;
             done.clamped |= saved.clamped;
             done.written += 1;
         }
     }
     if thumb {
-        let picture = overlay::overlay(&layers)?.fitted(200, 150);
+        let picture = overlay::overlay(&layers, 1)?.fitted(200, 150);
         done.thumb = Some(Cell { picture, title: String::new(), captions: vec![frame.id.clone()] });
     }
     outputs.commit()?;

@@ -6,22 +6,33 @@ use crate::draw::{
 };
 use crate::error::Result;
 use crate::io::png::read_picture;
+use crate::raster::Size;
 
 const SKY: Rgb = [226, 229, 233];
 const GROUND: Rgb = [196, 200, 206];
 const DARK: Rgb = [44, 50, 60];
 const LIGHT: Rgb = [236, 238, 240];
 
-/// The overlay of a frame.
-pub(super) fn overlay(layers: &Layers<'_>) -> Result<Canvas> {
+/// The overlay of a frame, `zoom` times as large as its picture.
+pub(super) fn overlay(layers: &Layers<'_>, zoom: usize) -> Result<Canvas> {
+    if zoom == 1 {
+        return drawn(layers, 1);
+    }
+    let frame = layers.frame.window([0, 0], layers.frame.size(), zoom);
+    drawn(&Layers::new(layers.scene, &frame), zoom)
+}
+
+fn drawn(layers: &Layers<'_>, zoom: usize) -> Result<Canvas> {
     let (scene, frame) = (layers.scene, layers.frame);
-    let (width, height) = (scene.size.width, scene.size.height);
-    let mask = layers.silhouette()?;
+    let Size { width, height } = frame.size();
+    let exact = layers.exact()?;
+    let photo = frame.background.is_some();
     let mut canvas = match &frame.background {
         Some(path) => {
             let picture = read_picture(path)?;
-            let mut canvas = Canvas::from_pixels(picture.width, picture.height, picture.pixels);
-            canvas.tint(mask, TEAL, 0.4);
+            let canvas = Canvas::from_pixels(picture.width, picture.height, picture.pixels);
+            let mut canvas = canvas.enlarged(zoom);
+            canvas.tint(layers.silhouette()?, TEAL, 0.4);
             canvas
         }
         None => shaded(width, height, layers.surface()?),
@@ -29,10 +40,9 @@ pub(super) fn overlay(layers: &Layers<'_>) -> Result<Canvas> {
     // Lines are as thin as can be up to a VGA picture, and grow with larger ones.
     let thin = ((width as f64).hypot(height as f64) / 800.0).max(1.0);
     let (camera, near) = (&frame.view.camera, scene.near);
-    let edges = box_edges(&frame.pose, camera, near, scene.bounds);
-    canvas.stroke(&edges, thin, LIGHT, if frame.background.is_some() { 0.75 } else { 0.0 });
-    canvas.stroke(&edges, 0.8 * thin, DARK, if frame.background.is_some() { 0.0 } else { 0.45 });
-    canvas.stroke(&contour(mask, width, height, 0.5), 1.4 * thin, ORANGE, 1.0);
+    let (color, alpha) = if photo { (LIGHT, 0.75) } else { (DARK, 0.4) };
+    canvas.stroke(&box_edges(&frame.pose, camera, near, scene.bounds), 0.9 * thin, color, alpha);
+    canvas.stroke(&contour(&exact, width, height, 0.5), 1.1 * thin, ORANGE, 1.0);
     let length = 0.3 * (scene.bounds.1 - scene.bounds.0).length();
     let lines = axes(&frame.pose, camera, near, length);
     for (line, color) in lines.into_iter().zip([RED, GREEN, BLUE]) {
@@ -80,7 +90,7 @@ pub(super) fn normal_colors(normal: &[[f32; 3]]) -> Vec<Rgb> {
 
 /// Silhouette, depth, normals and overlay in a row.
 pub(super) fn preview(layers: &Layers<'_>) -> Result<Canvas> {
-    let (width, height) = (layers.scene.size.width, layers.scene.size.height);
+    let Size { width, height } = layers.frame.size();
     let surface = layers.surface()?;
     let mask = layers.silhouette()?;
     let area: f64 = mask.iter().map(|m| f64::from(*m)).sum();
@@ -94,7 +104,7 @@ pub(super) fn preview(layers: &Layers<'_>) -> Result<Canvas> {
         ("silhouette", Canvas::from_mask(width, height, mask), format!("area {area:.1} px")),
         ("depth", depth, range),
         ("normal", normal, "(n + 1) / 2, camera frame".to_owned()),
-        ("overlay", overlay(layers)?, "x red, y green, z blue".to_owned()),
+        ("overlay", overlay(layers, 1)?, "x red, y green, z blue".to_owned()),
     ];
     let cells = cells.map(|(title, picture, caption)| Cell {
         picture: picture.fitted(480, 480),

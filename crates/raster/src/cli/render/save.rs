@@ -102,6 +102,7 @@ pub(super) fn layer(
     layer: Layer,
     format: FileFormat,
     modes: &[Mode],
+    zoom: usize,
 ) -> Result<Saved> {
     let mut clamped = false;
     let content = match (layer, format) {
@@ -120,7 +121,7 @@ pub(super) fn layer(
         (Layer::Normal, FileFormat::Npy) => {
             Content::Array(layers.surface()?.normal.as_flattened().to_vec(), 3)
         }
-        (Layer::Overlay, _) => Content::Picture(overlay(layers)?),
+        (Layer::Overlay, _) => Content::Picture(overlay(layers, zoom)?),
         (Layer::Preview, _) => Content::Picture(preview(layers)?),
         (Layer::Compare, _) => Content::Picture(compare(layers, modes)?),
     };
