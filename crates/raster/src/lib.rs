@@ -14,6 +14,7 @@ pub mod cli;
 pub mod draw;
 pub mod error;
 pub mod eval;
+pub mod gbuffer;
 pub mod io;
 pub mod mesh;
 pub mod metrics;

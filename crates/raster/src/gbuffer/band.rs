@@ -1,0 +1,204 @@
+//! Rows of an image with their z-buffer, drawn by one thread.
+
+use std::cell::RefCell;
+use std::ops::Range;
+
+use multiversion::multiversion;
+use rayon::prelude::*;
+
+use super::setup::{Prepared, Record, edge};
+use super::{Fragment, Surface};
+use crate::raster::Size;
+
+/// Samples of a row that are drawn together.
+const LANES: usize = 8;
+
+/// Samples of a band at least, unless the image has fewer: their z-buffer is 3 MiB.
+const BAND_SAMPLES: usize = 1 << 18;
+
+/// Bands of an image at most, about: each looks at the rows of every face.
+const BANDS: usize = 128;
+
+/// The z-buffer of one thread; all zeros between uses.
+#[derive(Debug, Default)]
+struct Scratch {
+    nearness: Vec<f64>,
+    ids: Vec<u32>,
+    fragments: Vec<Fragment>,
+}
+
+thread_local! {
+    // Lists, for a thread that waits for its bands may begin another image meanwhile.
+    static SCRATCHES: RefCell<Vec<Scratch>> = const { RefCell::new(Vec::new()) };
+    static PREPARED: RefCell<Vec<Prepared>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Work with buffers of this thread for a whole image.
+pub(super) fn with_prepared<T>(work: impl FnOnce(&mut Prepared) -> T) -> T {
+    let mut prepared = PREPARED.with_borrow_mut(Vec::pop).unwrap_or_default();
+    let result = work(&mut prepared);
+    PREPARED.with_borrow_mut(|list| list.push(prepared));
+    result
+}
+
+/// How many rows of an image are drawn at once, as a multiple of `unit`.
+pub(super) fn band_rows(size: Size, unit: usize) -> usize {
+    let samples = BAND_SAMPLES.max(size.pixels() / BANDS);
+    (samples / size.width / unit).max(1) * unit
+}
+
+/// Draw an image of `size` samples band by band and hand each band with its piece to `resolve`;
+/// the pieces are those of [`band_rows`], in order.
+pub(super) fn draw<P: Send>(
+    prepared: &Prepared,
+    (size, rows): (Size, usize),
+    pieces: Vec<P>,
+    resolve: impl Fn(&Band<'_>, &mut Vec<Fragment>, P) + Sync,
+) {
+    let one = |(k, piece): (usize, P)| {
+        let mut scratch = SCRATCHES.with_borrow_mut(Vec::pop).unwrap_or_default();
+        let band = k * rows..((k + 1) * rows).min(size.height);
+        let stride = size.width + LANES;
+        let samples = stride * band.len();
+        if scratch.nearness.len() < samples {
+            scratch.nearness.resize(samples, 0.0);
+            scratch.ids.resize(samples, 0);
+        }
+        let Scratch { nearness, ids, fragments } = &mut scratch;
+        let planes = (&mut nearness[..samples], &mut ids[..samples]);
+        let dirty = fill(&prepared.records, &prepared.rows, band.clone(), stride, planes);
+        resolve(
+            &Band { prepared, stride, rows: band, nearness, ids, dirty: &dirty },
+            fragments,
+            piece,
+        );
+        for row in dirty.rows {
+            let samples = row * stride + dirty.columns.start..row * stride + dirty.columns.end;
+            nearness[samples.clone()].fill(0.0);
+            ids[samples].fill(0);
+        }
+        SCRATCHES.with_borrow_mut(|list| list.push(scratch));
+    };
+    if pieces.len() == 1 {
+        pieces.into_iter().enumerate().for_each(one);
+    } else {
+        pieces.into_par_iter().enumerate().for_each(one);
+    }
+}
+
+/// The part of a band that faces may have drawn to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Dirty {
+    /// Counted from the first row of the band.
+    pub(super) rows: Range<usize>,
+    pub(super) columns: Range<usize>,
+}
+
+/// Rows of an image, drawn.
+#[derive(Debug)]
+pub(super) struct Band<'a> {
+    pub(super) prepared: &'a Prepared,
+    /// The rows of the image.
+    pub(super) rows: Range<usize>,
+    pub(super) dirty: &'a Dirty,
+    stride: usize,
+    nearness: &'a [f64],
+    ids: &'a [u32],
+}
+
+impl Band<'_> {
+    /// Columns of the image.
+    pub(super) fn width(&self) -> usize {
+        self.stride - LANES
+    }
+
+    /// `1/z` (0: nothing there) and ids of a row, counted from the first of the band.
+    pub(super) fn row(&self, row: usize) -> (&[f64], &[u32]) {
+        let samples = row * self.stride..(row + 1) * self.stride;
+        (&self.nearness[samples.clone()], &self.ids[samples])
+    }
+
+    /// What is seen in a row, from left to right.
+    pub(super) fn fragments(&self, row: usize, surfaces: &[Surface<'_>], out: &mut Vec<Fragment>) {
+        out.clear();
+        if !self.dirty.rows.contains(&row) {
+            return;
+        }
+        let (nearness, ids) = self.row(row);
+        let v = (self.rows.start + row) as f64 + 0.5;
+        for column in self.dirty.columns.clone() {
+            if ids[column] != 0 {
+                let (part, face) = self.prepared.find(ids[column]);
+                let centre = [column as f64 + 0.5, v];
+                let depth = 1.0 / nearness[column];
+                let (model, screen) = (surfaces[part].model, &self.prepared.screens[part]);
+                out.push(Fragment::new((model, screen), (part, face), column, centre, depth));
+            }
+        }
+    }
+}
+
+/// Draw the faces of the rows; what they may have touched.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+fn fill(
+    records: &[Record],
+    rows: &[[i32; 2]],
+    band: Range<usize>,
+    stride: usize,
+    (nearness, ids): (&mut [f64], &mut [u32]),
+) -> Dirty {
+    let (top, bottom) = (band.start as i32, band.end as i32);
+    let mut touched = [i32::MAX, 0, i32::MAX, 0];
+    for (record, &[first, end]) in records.iter().zip(rows) {
+        let (first, end) = (first.max(top), end.min(bottom));
+        if first >= end {
+            continue;
+        }
+        let [left, right] = record.columns;
+        touched[0] = touched[0].min(first);
+        touched[1] = touched[1].max(end);
+        touched[2] = touched[2].min(left);
+        touched[3] = touched[3].max(right);
+        let blocks = ((right - left) as usize).div_ceil(LANES) * LANES;
+        for row in first..end {
+            let start = (row - top) as usize * stride + left as usize;
+            let nearness = &mut nearness[start..start + blocks];
+            let ids = &mut ids[start..start + blocks];
+            let v = f64::from(row) + 0.5;
+            let mut u = f64::from(left) + 0.5;
+            let lanes = nearness.as_chunks_mut::<LANES>().0.iter_mut();
+            for (nearness, ids) in lanes.zip(ids.as_chunks_mut::<LANES>().0) {
+                block(record, u, v, nearness, ids);
+                u += LANES as f64;
+            }
+        }
+    }
+    if touched[1] == 0 {
+        return Dirty { rows: 0..0, columns: 0..0 };
+    }
+    let [first, end, left, right] = touched;
+    Dirty {
+        rows: (first - top) as usize..(end - top) as usize,
+        columns: left as usize..right as usize,
+    }
+}
+
+/// Samples of one row from `u` on.
+#[inline(always)]
+fn block(record: &Record, u: f64, v: f64, nearness: &mut [f64; LANES], ids: &mut [u32; LANES]) {
+    let [va, vb, vc] = record.v.map(|corner| corner - v);
+    let [base, d1, d2] = record.nearness;
+    let [low, high] = record.range;
+    let right = f64::from(record.columns[1]);
+    for k in 0..LANES {
+        let x = u + k as f64;
+        let (a, b, c) = ([record.u[0] - x, va], [record.u[1] - x, vb], [record.u[2] - x, vc]);
+        let (e0, e1, e2) = (edge(b, c), edge(c, a), edge(a, b));
+        let w = base + e1 * d1 + e2 * d2;
+        let w = if w < low { low } else { w };
+        let w = if w > high { high } else { w };
+        let seen = (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (x < right) & (w > nearness[k]);
+        nearness[k] = if seen { w } else { nearness[k] };
+        ids[k] = if seen { record.id } else { ids[k] };
+    }
+}
