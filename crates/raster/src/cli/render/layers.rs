@@ -7,7 +7,8 @@ use glam::DVec3;
 
 use super::frames::Frame;
 use crate::error::Result;
-use crate::raster::{Batch, Mode, Model, Screen};
+use crate::gbuffer::{self, GBuffer, Normals, Scenes};
+use crate::raster::{Batch, Mode, Model};
 
 /// What all frames share.
 #[derive(Debug)]
@@ -86,57 +87,18 @@ impl<'a> Layers<'a> {
 
 /// The nearest face at the centre of each pixel.
 fn surface(scene: &Scene, frame: &Frame) -> Result<Surface> {
-    let (Scene { model, near, .. }, size) = (scene, frame.size());
-    let mut screen = Screen::default();
-    screen.project(model, &frame.view, *near)?;
-    let mut depth = vec![0.0_f32; size.pixels()];
-    let mut normal = vec![[0.0_f32; 3]; size.pixels()];
-    for face in screen.faces(model) {
-        let [a, b, c] = face.map(|k| k as usize);
-        let uv = [a, b, c].map(|k| [screen.u[k], screen.v[k]]);
-        let p = [a, b, c].map(|k| DVec3::new(screen.x[k], screen.y[k], screen.z[k]));
-        let cross = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {
-            (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
-        };
-        let area = cross(uv[0], uv[1], uv[2]);
-        let n = (p[1] - p[0]).cross(p[2] - p[0]);
-        let Some(n) = n.try_normalize().filter(|_| area != 0.0) else { continue };
-        let n = if n.dot(p[0]) > 0.0 { -n } else { n };
-        let range = |k: usize, limit: usize| {
-            let values = uv.map(|q| q[k] - 0.5);
-            let low = values.iter().fold(f64::INFINITY, |m, v| m.min(*v)).ceil().max(0.0);
-            let high = values.iter().fold(f64::NEG_INFINITY, |m, v| m.max(*v)).floor();
-            low as usize..((high + 1.0).max(0.0) as usize).min(limit)
-        };
-        for y in range(1, size.height) {
-            for x in range(0, size.width) {
-                let at = [x as f64 + 0.5, y as f64 + 0.5];
-                let w = [
-                    cross(at, uv[1], uv[2]) / area,
-                    cross(uv[0], at, uv[2]) / area,
-                    cross(uv[0], uv[1], at) / area,
-                ];
-                if w.iter().any(|w| *w < 0.0) {
-                    continue;
-                }
-                let z = 1.0 / (w[0] / p[0].z + w[1] / p[1].z + w[2] / p[2].z);
-                let pixel = y * size.width + x;
-                if depth[pixel] == 0.0 || z < f64::from(depth[pixel]) {
-                    depth[pixel] = z as f32;
-                    normal[pixel] = n.as_vec3_array();
-                }
-            }
-        }
-    }
-    Ok(Surface { depth, normal })
-}
-
-trait AsF32 {
-    fn as_vec3_array(self) -> [f32; 3];
-}
-
-impl AsF32 for DVec3 {
-    fn as_vec3_array(self) -> [f32; 3] {
-        self.to_array().map(|c| c as f32)
-    }
+    let size = frame.size();
+    let mut surface =
+        Surface { depth: vec![0.0; size.pixels()], normal: vec![[0.0; 3]; size.pixels()] };
+    let planes = GBuffer {
+        depth: Some(&mut surface.depth),
+        normal: Some(surface.normal.as_flattened_mut()),
+        zeroed: true,
+        ..GBuffer::default()
+    };
+    let surfaces = [gbuffer::Surface::new(&scene.model)];
+    let views = [frame.view];
+    let scenes = Scenes { surfaces: &surfaces, views: &views, size, near: Some(scene.near) };
+    scenes.draw(Normals::Flat, planes)?;
+    Ok(surface)
 }
