@@ -23,6 +23,7 @@ mod order;
 mod outline;
 mod screen;
 pub mod sigmoid;
+mod soft;
 mod topology;
 
 pub use self::batch::{Batch, Gradients, Wanted};

@@ -1,0 +1,247 @@
+//! Sixteen faces at a time, made ready for distances.
+
+use super::real::{LANES, Real};
+use super::tiles::{SIDE, Units};
+
+/// Faces whose corners are further out than so many times the image are cut to its surroundings.
+const FAR: f64 = 4.0;
+
+/// An edge in each lane, in widths from the face's [origin](Block::x). With `d` the way from there
+/// to a pixel, the pixel is at `along = e.d + along0` from the middle of the edge, and at
+/// `across = e x d + across0` from its line, inwards positive. `e` is a unit vector.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Edges<R> {
+    pub(super) x: [R; LANES],
+    pub(super) y: [R; LANES],
+    pub(super) along: [R; LANES],
+    pub(super) across: [R; LANES],
+    /// Half the length.
+    pub(super) half: [R; LANES],
+}
+
+/// An edge: [`Edges`] in one lane.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Edge<R> {
+    pub(super) x: R,
+    pub(super) y: R,
+    pub(super) along: R,
+    pub(super) across: R,
+    pub(super) half: R,
+}
+
+/// A face.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Face<R> {
+    pub(super) x: R,
+    pub(super) y: R,
+    pub(super) edges: [Edge<R>; 3],
+}
+
+/// Sixteen faces. Edge `k` runs from corner `k` to the next, the corners positively oriented.
+#[derive(Debug)]
+pub(super) struct Block<R> {
+    pub(super) x: [R; LANES],
+    pub(super) y: [R; LANES],
+    pub(super) edges: [Edges<R>; 3],
+    /// Tiles within reach: columns `0..1`, rows `2..3`.
+    pub(super) tiles: [[i32; LANES]; 4],
+    /// Whether the second and the third corner are exchanged.
+    pub(super) turned: [bool; LANES],
+    /// Without area.
+    pub(super) flat: [bool; LANES],
+    /// Further out than [`FAR`].
+    far: [bool; LANES],
+    /// Where the parts of the edges that were kept begin and end, of far faces.
+    kept: [[[f64; 2]; 3]; LANES],
+}
+
+/// What a block is made of.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Source<'a> {
+    pub(super) faces: &'a [[u32; 3]],
+    pub(super) u: &'a [f64],
+    pub(super) v: &'a [f64],
+    pub(super) units: Units,
+    /// The rectangle of tiles: first, count.
+    pub(super) first: [usize; 2],
+    pub(super) count: [usize; 2],
+}
+
+impl<R: Real> Block<R> {
+    pub(super) fn new() -> Self {
+        let none = [R::ZERO; LANES];
+        let edges = Edges { x: none, y: none, along: none, across: none, half: none };
+        Self {
+            x: none,
+            y: none,
+            edges: [edges; 3],
+            tiles: [[0; LANES]; 4],
+            turned: [false; LANES],
+            flat: [false; LANES],
+            far: [false; LANES],
+            kept: [[[0.0, 1.0]; 3]; LANES],
+        }
+    }
+
+    /// The part of edge `k` in a lane that is measured.
+    pub(super) fn kept(&self, lane: usize, k: usize) -> [f64; 2] {
+        if self.far[lane] { self.kept[lane][k] } else { [0.0, 1.0] }
+    }
+
+    #[inline(always)]
+    pub(super) fn face(&self, lane: usize) -> Face<R> {
+        let edge = |k: usize| {
+            let e = &self.edges[k];
+            Edge {
+                x: e.x[lane],
+                y: e.y[lane],
+                along: e.along[lane],
+                across: e.across[lane],
+                half: e.half[lane],
+            }
+        };
+        Face { x: self.x[lane], y: self.y[lane], edges: [edge(0), edge(1), edge(2)] }
+    }
+
+    /// Load up to 16 faces from `first` on; how many they are.
+    #[inline(always)]
+    pub(super) fn load(&mut self, source: &Source<'_>, first: usize) -> usize {
+        let faces = &source.faces[first..];
+        let faces = &faces[..faces.len().min(LANES)];
+        let mut corners = [[0.0; LANES]; 6];
+        for (lane, face) in faces.iter().enumerate() {
+            for k in 0..3 {
+                corners[2 * k][lane] = source.u[face[k] as usize];
+                corners[2 * k + 1][lane] = source.v[face[k] as usize];
+            }
+        }
+        self.prepare(source, &mut corners);
+        for lane in 0..faces.len() {
+            if self.far[lane] {
+                self.cut(source, lane, &corners);
+            }
+        }
+        faces.len()
+    }
+
+    /// Everything of all lanes; the corners (pixels) become widths, in order.
+    #[inline(always)]
+    fn prepare(&mut self, source: &Source<'_>, corners: &mut [[f64; LANES]; 6]) {
+        let Units { scale, half, reach } = source.units;
+        let limit = FAR * (source.units.extent() + reach);
+        for l in 0..LANES {
+            let (ax, ay) =
+                ((corners[0][l] - half[0]) * scale[0], (corners[1][l] - half[1]) * scale[1]);
+            let (px, py) =
+                ((corners[2][l] - half[0]) * scale[0], (corners[3][l] - half[1]) * scale[1]);
+            let (qx, qy) =
+                ((corners[4][l] - half[0]) * scale[0], (corners[5][l] - half[1]) * scale[1]);
+            let area = (px - ax) * (qy - ay) - (py - ay) * (qx - ax);
+            let turned = area < 0.0;
+            let (bx, cx) = if turned { (qx, px) } else { (px, qx) };
+            let (by, cy) = if turned { (qy, py) } else { (py, qy) };
+            self.turned[l] = turned;
+            self.flat[l] = area == 0.0;
+            corners[0][l] = ax;
+            corners[1][l] = ay;
+            corners[2][l] = bx;
+            corners[3][l] = by;
+            corners[4][l] = cx;
+            corners[5][l] = cy;
+            let x = ax.abs().most(bx.abs()).most(cx.abs());
+            let y = ay.abs().most(by.abs()).most(cy.abs());
+            self.far[l] = x.most(y) > limit;
+            self.x[l] = R::of(ax);
+            self.y[l] = R::of(ay);
+        }
+        for k in 0..3 {
+            let [i, j] = [2 * k, 2 * ((k + 1) % 3)];
+            let edges = &mut self.edges[k];
+            for l in 0..LANES {
+                let (ox, oy) = (self.x[l].wide(), self.y[l].wide());
+                let (px, py) = (R::of(corners[i][l] - ox), R::of(corners[i + 1][l] - oy));
+                let (qx, qy) = (R::of(corners[j][l] - ox), R::of(corners[j + 1][l] - oy));
+                let (dx, dy) = (qx - px, qy - py);
+                let length = (dx * dx + dy * dy).sqrt();
+                let point = length <= R::SAME;
+                let inverse = R::ONE / (if point { R::ONE } else { length });
+                let ex = if point { R::ONE } else { dx * inverse };
+                let ey = if point { R::ZERO } else { dy * inverse };
+                let two = R::ONE + R::ONE;
+                let (mx, my) = ((px + qx) / two, (py + qy) / two);
+                edges.x[l] = ex;
+                edges.y[l] = ey;
+                edges.along[l] = -(ex * mx + ey * my);
+                edges.across[l] = ey * mx - ex * my;
+                edges.half[l] = if point { R::ZERO } else { length / two };
+            }
+        }
+        for axis in 0..2 {
+            let count = source.count[axis] as f64;
+            let per_tile = 1.0 / (SIDE as f64 * scale[axis]);
+            let shift = (half[axis] - 0.5) / SIDE as f64 - source.first[axis] as f64;
+            for l in 0..LANES {
+                let (a, b, c) = (corners[axis][l], corners[axis + 2][l], corners[axis + 4][l]);
+                let low = (a.least(b).least(c) - reach) * per_tile + shift;
+                let high = (a.most(b).most(c) + reach) * per_tile + shift + 1.0;
+                self.tiles[2 * axis][l] = low.most(0.0).least(count).to_i32();
+                self.tiles[2 * axis + 1][l] = high.most(0.0).least(count).to_i32();
+            }
+        }
+    }
+
+    /// Measure a face of which a corner is far away from what is near to the image, where single
+    /// precision and the squares of distances are at home.
+    #[cold]
+    fn cut(&mut self, source: &Source<'_>, lane: usize, corners: &[[f64; LANES]; 6]) {
+        let Units { scale, half, reach } = source.units;
+        let bounds = [0, 1].map(|axis| half[axis] * scale[axis] + reach + scale[axis]);
+        (self.x[lane], self.y[lane]) = (R::ZERO, R::ZERO);
+        for k in 0..3 {
+            let corner = |k: usize| [corners[2 * (k % 3)][lane], corners[2 * (k % 3) + 1][lane]];
+            let (a, b) = (corner(k), corner(k + 1));
+            let d = [b[0] - a[0], b[1] - a[1]];
+            let length = d[0].hypot(d[1]);
+            let e = if length > 0.0 { [d[0] / length, d[1] / length] } else { [1.0, 0.0] };
+            let (mut from, mut to) = (0.0_f64, 1.0_f64);
+            for axis in 0..2 {
+                if d[axis] == 0.0 {
+                    if a[axis].abs() > bounds[axis] {
+                        to = -1.0;
+                    }
+                    continue;
+                }
+                let at = |side: f64| (side * bounds[axis] - a[axis]) / d[axis];
+                let (p, q) = (at(-1.0), at(1.0));
+                from = from.max(p.min(q));
+                to = to.min(p.max(q));
+            }
+            let edges = &mut self.edges[k];
+            edges.x[lane] = R::of(e[0]);
+            edges.y[lane] = R::of(e[1]);
+            if from <= to {
+                let point = |s: f64, axis: usize| {
+                    // From the nearer end, or a long edge would lose the digits of its far one.
+                    let p =
+                        if s < 0.5 { a[axis] + s * d[axis] } else { b[axis] - (1.0 - s) * d[axis] };
+                    p.clamp(-bounds[axis], bounds[axis])
+                };
+                let p = [point(from, 0), point(from, 1)];
+                let q = [point(to, 0), point(to, 1)];
+                let m = [0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1])];
+                edges.along[lane] = R::of(-(e[0] * m[0] + e[1] * m[1]));
+                edges.across[lane] = R::of(e[1] * m[0] - e[0] * m[1]);
+                edges.half[lane] = R::of(0.5 * (q[0] - p[0]).hypot(q[1] - p[1]));
+                self.kept[lane][k] = [from, to];
+            } else {
+                // Out of reach, but its line still says on which side a pixel is.
+                let away = 1e3 * (source.units.extent() + reach);
+                let across = e[1] * a[0] - e[0] * a[1];
+                edges.along[lane] = R::of(away);
+                edges.across[lane] = R::of(across.clamp(-away, away));
+                edges.half[lane] = R::ZERO;
+                self.kept[lane][k] = [0.0, 1.0];
+            }
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! The two floats that the kernels are written for.
+
+use std::cell::RefCell;
+use std::fmt::Debug;
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use super::Scratch;
+
+/// Pixels of a tile: 4 rows of 4.
+pub(super) const LANES: usize = 16;
+
+/// `f32` or `f64`.
+pub(super) trait Real:
+    Copy
+    + Debug
+    + Default
+    + PartialOrd
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + 'static
+{
+    /// A face whose squared distance (in widths) is larger is left out of the mask: `exp` of its
+    /// negative is below the rounding of 1.
+    const REACH: f64;
+    /// The same for gradients, which are sums of many pixels.
+    const REACH_BACK: f64;
+    /// Least value of a factor of the product, so that dividing by it stays finite.
+    const LEAST_FACTOR: Self;
+    /// Least value of the product: far below what counts, far above subnormal numbers.
+    const LEAST_PRODUCT: Self;
+    /// Where the product is below, the mask is 1 to the last digit, and its gradient 0.
+    const FULL: Self;
+    /// Two points closer than this are one.
+    const SAME: Self;
+    const ZERO: Self;
+    const ONE: Self;
+
+    fn of(value: f64) -> Self;
+    fn wide(self) -> f64;
+    fn abs(self) -> Self;
+    fn sqrt(self) -> Self;
+    fn to_i32(self) -> i32;
+    /// `self * b + c`, in one instruction where `FMA`.
+    fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self;
+    /// `exp(-self)` for `self >= 0`, accurate to a few units of the last place.
+    fn exp_negative<const FMA: bool>(self) -> Self;
+    fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O;
+
+    #[inline(always)]
+    fn least(self, other: Self) -> Self {
+        if self < other { self } else { other }
+    }
+    #[inline(always)]
+    fn most(self, other: Self) -> Self {
+        if self > other { self } else { other }
+    }
+}
+
+thread_local! {
+    static SINGLE: RefCell<Scratch<f32>> = RefCell::default();
+    static DOUBLE: RefCell<Scratch<f64>> = RefCell::default();
+}
+
+macro_rules! plain {
+    ($scratch:ident, $type:ty) => {
+        const ZERO: Self = 0.0;
+        const ONE: Self = 1.0;
+
+        #[inline(always)]
+        fn of(value: f64) -> Self {
+            value as $type
+        }
+        #[inline(always)]
+        fn wide(self) -> f64 {
+            f64::from(self)
+        }
+        #[inline(always)]
+        fn abs(self) -> Self {
+            self.abs()
+        }
+        #[inline(always)]
+        fn sqrt(self) -> Self {
+            self.sqrt()
+        }
+        #[inline(always)]
+        fn to_i32(self) -> i32 {
+            self as i32
+        }
+        #[inline(always)]
+        fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self {
+            if FMA { self.mul_add(b, c) } else { self * b + c }
+        }
+        fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O {
+            $scratch.with_borrow_mut(work)
+        }
+    };
+}
+
+impl Real for f32 {
+    const REACH: f64 = 16.0;
+    const REACH_BACK: f64 = 14.0;
+    const LEAST_FACTOR: Self = 1e-12;
+    const LEAST_PRODUCT: Self = 1e-30;
+    const FULL: Self = 1e-9;
+    const SAME: Self = 1e-15;
+    plain!(SINGLE, f32);
+
+    /// `2^n 2^r`, `2^r` as a polynomial of relative error 8e-8 over `|r| <= 1/2`.
+    #[inline(always)]
+    fn exp_negative<const FMA: bool>(self) -> Self {
+        const ROUND: f32 = 12_582_912.0; // 1.5 * 2^23: adding it rounds to integers
+        let y = self.least(80.0) * -std::f32::consts::LOG2_E;
+        let shifted = y + ROUND;
+        let r = y - (shifted - ROUND);
+        let p = 0.001_327_646_f32
+            .fused::<FMA>(r, 0.009_675_542)
+            .fused::<FMA>(r, 0.055_507_135)
+            .fused::<FMA>(r, 0.240_221_2)
+            .fused::<FMA>(r, 0.693_146_94)
+            .fused::<FMA>(r, 1.000_000_1);
+        Self::from_bits(p.to_bits().wrapping_add(shifted.to_bits() << 23))
+    }
+}
+
+impl Real for f64 {
+    const REACH: f64 = 41.5;
+    const REACH_BACK: f64 = 41.5;
+    const LEAST_FACTOR: Self = 1e-60;
+    const LEAST_PRODUCT: Self = 1e-200;
+    const FULL: Self = 1e-22;
+    const SAME: Self = 1e-120;
+    plain!(DOUBLE, f64);
+
+    /// `2^n e^r`, `e^r` as its Taylor polynomial over `|r| <= ln(2) / 2`.
+    #[inline(always)]
+    fn exp_negative<const FMA: bool>(self) -> Self {
+        const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
+        const HIGH: f64 = 0.693_147_180_369_123_8; // ln 2 to 32 bits, and the rest
+        const LOW: f64 = 1.908_214_929_270_587_7e-10;
+        let y = -self.least(600.0);
+        let shifted = y * std::f64::consts::LOG2_E + ROUND;
+        let n = shifted - ROUND;
+        let r = (y - n * HIGH) - n * LOW;
+        let mut p = 1.0 / 6_227_020_800.0;
+        p = p.fused::<FMA>(r, 1.0 / 479_001_600.0);
+        p = p.fused::<FMA>(r, 1.0 / 39_916_800.0);
+        p = p.fused::<FMA>(r, 1.0 / 3_628_800.0);
+        p = p.fused::<FMA>(r, 1.0 / 362_880.0);
+        p = p.fused::<FMA>(r, 1.0 / 40_320.0);
+        p = p.fused::<FMA>(r, 1.0 / 5_040.0);
+        p = p.fused::<FMA>(r, 1.0 / 720.0);
+        p = p.fused::<FMA>(r, 1.0 / 120.0);
+        p = p.fused::<FMA>(r, 1.0 / 24.0);
+        p = p.fused::<FMA>(r, 1.0 / 6.0);
+        p = p.fused::<FMA>(r, 0.5);
+        p = p.fused::<FMA>(r, 1.0);
+        p = p.fused::<FMA>(r, 1.0);
+        Self::from_bits(p.to_bits().wrapping_add(shifted.to_bits() << 52))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_is_accurate() {
+        for k in 0..60_000 {
+            let x = f64::from(k) * 1e-3;
+            let exact = (-x).exp();
+            assert!((x.exp_negative::<false>() / exact - 1.0).abs() < 1e-15, "{x}");
+            let single = f64::from((x as f32).exp_negative::<false>());
+            assert!((single - (-f64::from(x as f32)).exp()).abs() < 3e-7 * exact.max(1e-7), "{x}");
+        }
+        assert!(1e30_f32.exp_negative::<false>() < 1e-30 && 1e300.exp_negative::<false>() < 1e-200);
+        assert_eq!(0.0.exp_negative::<false>(), 1.0);
+    }
+}

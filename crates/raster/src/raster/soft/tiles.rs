@@ -1,0 +1,215 @@
+//! The image as tiles of 4x4 pixels, as far as a shape reaches.
+
+use super::real::{LANES, Real};
+use crate::raster::{Pixel, Size};
+
+/// Side of a tile in pixels.
+pub(super) const SIDE: usize = 4;
+
+/// How pixels become widths: a squared length in widths is the exponent of the profile. The origin
+/// is the centre of the image.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Units {
+    /// Widths in a pixel, per axis.
+    pub(super) scale: [f64; 2],
+    /// Half the image, in pixels.
+    pub(super) half: [f64; 2],
+    /// How far a face reaches, in widths.
+    pub(super) reach: f64,
+}
+
+impl Units {
+    pub(super) fn new(size: Size, scale: [f64; 2], exponent: f64) -> Self {
+        let half = [0.5 * size.width as f64, 0.5 * size.height as f64];
+        Self { scale, half, reach: exponent.sqrt() }
+    }
+
+    /// The largest coordinate of a point of the image, in widths.
+    pub(super) fn extent(&self) -> f64 {
+        (self.half[0] * self.scale[0]).max(self.half[1] * self.scale[1])
+    }
+}
+
+/// A value for each pixel of a rectangle of tiles, and which of the tiles are in use.
+#[derive(Debug)]
+pub(super) struct Tiles<R> {
+    /// First tile of the rectangle in the image, `(column, row)`.
+    pub(super) first: [usize; 2],
+    /// Tiles in the rectangle, `(columns, rows)`.
+    pub(super) count: [usize; 2],
+    /// Row by row; pixels within a tile too.
+    pub(super) values: Vec<[R; LANES]>,
+    /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
+    bits: Vec<u8>,
+    /// Left-most pixel centre of each column of tiles, in widths.
+    pub(super) x: Vec<R>,
+    /// Upper pixel centre of each row of tiles, in widths.
+    pub(super) y: Vec<R>,
+    /// Where the pixels of a tile are, from its first one.
+    pub(super) offset: [[R; LANES]; 2],
+}
+
+impl<R: Real> Default for Tiles<R> {
+    fn default() -> Self {
+        Self {
+            first: [0; 2],
+            count: [0; 2],
+            values: Vec::new(),
+            bits: Vec::new(),
+            x: Vec::new(),
+            y: Vec::new(),
+            offset: [[R::ZERO; LANES]; 2],
+        }
+    }
+}
+
+/// The low bits of each byte.
+const EACH: u64 = 0x0101_0101_0101_0101;
+
+impl<R: Real> Tiles<R> {
+    /// Lay tiles over what `low..high` (pixels) covers of the image; false where that is nothing.
+    pub(super) fn lay(&mut self, size: Size, units: &Units, low: [f64; 2], high: [f64; 2]) -> bool {
+        let sides = [size.width, size.height];
+        for axis in 0..2 {
+            let reach = units.reach / units.scale[axis] + 1.0;
+            let first = (low[axis] - reach).clamp(0.0, sides[axis] as f64) as usize / SIDE;
+            let end = (high[axis] + reach).clamp(0.0, sides[axis] as f64).ceil() as usize;
+            let end = end.div_ceil(SIDE);
+            if first >= end {
+                return false;
+            }
+            (self.first[axis], self.count[axis]) = (first, end - first);
+        }
+        let place = |axis: usize, tile: usize| {
+            let pixel = (SIDE * (self.first[axis] + tile)) as f64 + 0.5;
+            R::of((pixel - units.half[axis]) * units.scale[axis])
+        };
+        self.x.clear();
+        self.x.extend((0..self.count[0]).map(|tile| place(0, tile)));
+        self.y.clear();
+        self.y.extend((0..self.count[1]).map(|tile| place(1, tile)));
+        for lane in 0..LANES {
+            self.offset[0][lane] = R::of((lane % SIDE) as f64 * units.scale[0]);
+            self.offset[1][lane] = R::of((lane / SIDE) as f64 * units.scale[1]);
+        }
+        true
+    }
+
+    /// The rectangle in pixels, cut at the image: columns, rows.
+    pub(super) fn pixels(&self, size: Size) -> [std::ops::Range<usize>; 2] {
+        let range = |axis: usize, side: usize| {
+            let first = SIDE * self.first[axis];
+            first..(first + SIDE * self.count[axis]).min(side)
+        };
+        [range(0, size.width), range(1, size.height)]
+    }
+
+    /// Every pixel of the image gets `value`, those of the tiles that lie outside of it get 0.
+    pub(super) fn fill(&mut self, size: Size, value: R) {
+        self.values.clear();
+        self.values.resize(self.count[0] * self.count[1], [value; LANES]);
+        self.blank(size);
+    }
+
+    /// Set the pixels outside of the image to 0.
+    fn blank(&mut self, size: Size) {
+        let [columns, rows] = self.pixels(size).map(|range| range.len() % SIDE);
+        if columns > 0 {
+            for tile in self.values.iter_mut().skip(self.count[0] - 1).step_by(self.count[0]) {
+                tile.chunks_exact_mut(SIDE).for_each(|line| line[columns..].fill(R::ZERO));
+            }
+        }
+        if rows > 0 {
+            for tile in &mut self.values[self.count[0] * (self.count[1] - 1)..] {
+                tile[SIDE * rows..].fill(R::ZERO);
+            }
+        }
+    }
+
+    /// The tiles in use are those where a pixel is larger than `least`, in size.
+    pub(super) fn mark(&mut self, least: R) {
+        let stride = self.stride();
+        self.bits.clear();
+        self.bits.resize((self.count[0] / 8 + 2) * stride, 0);
+        for (row, tiles) in self.values.chunks_exact(self.count[0]).enumerate() {
+            for (column, tile) in tiles.iter().enumerate() {
+                let mut most = R::ZERO;
+                for t in tile {
+                    most = most.most(t.abs());
+                }
+                self.bits[(column / 8) * stride + row] |= u8::from(most > least) << (column % 8);
+            }
+        }
+    }
+
+    fn stride(&self) -> usize {
+        self.count[1] + 8
+    }
+
+    /// The tiles in use among 8x8 from a corner on: bit `8 row + column`.
+    #[inline(always)]
+    fn window(&self, column: usize, row: usize) -> u64 {
+        let stride = self.stride();
+        let at = (column / 8) * stride + row;
+        let eight = |at: usize| {
+            let mut bytes = [0; 8];
+            bytes.copy_from_slice(&self.bits[at..at + 8]);
+            u64::from_le_bytes(bytes)
+        };
+        let shift = column % 8;
+        let keep = EACH * (0xFF >> shift);
+        ((eight(at) >> shift) & keep) | ((eight(at + stride) << (8 - shift)) & !keep)
+    }
+
+    /// The tiles in use within `columns` by `rows` (at most 8 each are looked at) from a corner on.
+    #[inline(always)]
+    pub(super) fn used(&self, column: usize, row: usize, columns: usize, rows: usize) -> u64 {
+        let line = EACH * (0xFF >> (8 - columns.min(8)));
+        let block = if rows < 8 { line & ((1 << (8 * rows)) - 1) } else { line };
+        self.window(column, row) & block
+    }
+
+    /// The tiles as a mask: `1 - value`, and 0 where there are no tiles.
+    pub(super) fn compose<T: Pixel>(&self, size: Size, out: &mut [T]) {
+        let [columns, rows] = self.pixels(size);
+        out[..rows.start * size.width].fill(T::default());
+        out[rows.end * size.width..].fill(T::default());
+        for row in rows {
+            let line = &mut out[row * size.width..(row + 1) * size.width];
+            line[..columns.start].fill(T::default());
+            line[columns.end..].fill(T::default());
+            let (tile, lane) = (row / SIDE - self.first[1], SIDE * (row % SIDE));
+            let tiles = &self.values[tile * self.count[0]..(tile + 1) * self.count[0]];
+            let mut pixels = line[columns.clone()].chunks_exact_mut(SIDE);
+            let mut tiles = tiles.iter();
+            for (pixels, tile) in pixels.by_ref().zip(tiles.by_ref()) {
+                for (pixel, value) in pixels.iter_mut().zip(&tile[lane..lane + SIDE]) {
+                    *pixel = T::from_f64((R::ONE - *value).wide());
+                }
+            }
+            if let Some(tile) = tiles.next() {
+                for (pixel, value) in pixels.into_remainder().iter_mut().zip(&tile[lane..]) {
+                    *pixel = T::from_f64((R::ONE - *value).wide());
+                }
+            }
+        }
+    }
+
+    /// Multiply by an image over `scale`, and forget the pixels where the mask is full.
+    pub(super) fn weigh<T: Pixel>(&mut self, size: Size, image: &[T], scale: f64) {
+        let [columns, rows] = self.pixels(size);
+        let inverse = 1.0 / scale;
+        for row in rows {
+            let line = &image[row * size.width..(row + 1) * size.width];
+            let (tile, lane) = (row / SIDE - self.first[1], SIDE * (row % SIDE));
+            let tiles = &mut self.values[tile * self.count[0]..(tile + 1) * self.count[0]];
+            for (pixels, tile) in line[columns.clone()].chunks(SIDE).zip(tiles) {
+                for (pixel, value) in pixels.iter().zip(&mut tile[lane..lane + SIDE]) {
+                    let kept = if *value > R::FULL { *value } else { R::ZERO };
+                    *value = kept * R::of(pixel.to_f64() * inverse);
+                }
+            }
+        }
+        self.blank(size);
+    }
+}
