@@ -15,6 +15,7 @@ __all__ = [
     "add",
     "add_passes",
     "adds",
+    "cli_dronepose",
     "cli_run",
     "evaluate",
     "matrix_from_6d",
@@ -88,6 +89,9 @@ class Symmetries:
 
 def cli_run(args: list[str]) -> int:
     """Run ``dronepose-eval``, the program's name first; its exit code."""
+
+def cli_dronepose(args: list[str], further: list[tuple[str, str]]) -> int:
+    """Run ``dronepose``, the program's name first; its exit code."""
 
 def evaluate(
     options: list[str],

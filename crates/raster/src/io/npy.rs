@@ -27,9 +27,9 @@ pub fn write_f32(out: &mut dyn Write, shape: &[usize], data: &[f32]) -> io::Resu
 
 /// Magic, version, and the dictionary, padded with blanks.
 fn header(descr: &str, shape: &[usize]) -> io::Result<Vec<u8>> {
-    let sizes: String = shape.iter().map(|n| format!("{n}, ")).collect();
+    let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
     // (3,) for one axis, (2, 3) for two.
-    let sizes = if shape.len() == 1 { sizes.trim_end() } else { sizes.trim_end_matches(", ") };
+    let sizes = sizes.join(", ") + if shape.len() == 1 { "," } else { "" };
     let mut text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({sizes}), }}");
     let before = 10;
     let total = (before + text.len() + 1).next_multiple_of(ALIGNMENT);

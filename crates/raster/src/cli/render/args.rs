@@ -32,6 +32,7 @@ command line was not understood, 130 interrupted.";
     max_term_width = 100,
     group = ArgGroup::new("view").args(["camera", "fov"]).required(true),
 )]
+#[expect(clippy::struct_excessive_bools, reason = "each is a flag of the command line")]
 pub struct Args {
     /// Mesh of the object: OBJ, PLY or STL; .gz is unpacked
     pub mesh: PathBuf,

@@ -115,6 +115,15 @@ impl Manifest {
         self.settings.iter().find_map(|(key, a)| differ(key, a, other.settings.get(key)?))
     }
 
+    /// Strike off the files that are not there.
+    pub(super) fn keep_files(&mut self, is_there: impl Fn(&str) -> bool) {
+        self.sheets.retain(|f| is_there(f));
+        for frame in &mut self.frames {
+            frame.files.retain(|f| is_there(f));
+        }
+        self.frames.retain(|frame| !frame.files.is_empty());
+    }
+
     /// Take in the files of an earlier run with the same settings.
     pub(super) fn absorb(&mut self, old: &Self) {
         for (key, value) in &old.settings {
@@ -165,12 +174,11 @@ fn merge(own: &mut Vec<String>, more: &[String]) {
 fn differ(name: &str, a: &Value, b: &Value) -> Option<(String, String, String)> {
     match (a, b) {
         (Value::Object(a), Value::Object(b)) => {
-            let keys = a.keys().chain(b.keys().filter(|k| !a.contains_key(*k)));
-            keys.filter_map(|k| {
+            let mut keys = a.keys().chain(b.keys().filter(|k| !a.contains_key(*k)));
+            keys.find_map(|k| {
                 let (a, b) = (a.get(k).unwrap_or(&Value::Null), b.get(k).unwrap_or(&Value::Null));
                 differ(&format!("{name}.{k}"), a, b)
             })
-            .next()
         }
         (a, b) => (a != b).then(|| (name.to_owned(), a.to_string(), b.to_string())),
     }
@@ -209,6 +217,8 @@ mod tests {
         assert_eq!(new.frames.len(), 2);
         assert_eq!(new.frames[0].files, ["x/0.png", "y/0.png"]);
         assert_eq!(new.settings.len(), 2);
+        new.keep_files(|f| f == "x/0.png");
+        assert_eq!(new.files().collect::<Vec<_>>(), ["x/0.png"]);
     }
 
     #[test]

@@ -283,13 +283,14 @@ fn prepare(args: &Args, job: &Job, mut manifest: Manifest) -> Result<(Manifest, 
         other => other?,
     };
     let difference = old.as_ref().and_then(|old| old.difference(&manifest));
-    match (&old, difference) {
-        (Some(old), None) => {
+    match (old, difference) {
+        (Some(mut old), None) => {
+            // An interrupted run lists more than it drew.
+            old.keep_files(|f| out.join(f).is_file());
             if !args.force {
-                let is_file = |f: &&str| out.join(f).is_file();
-                there.extend(old.files().filter(is_file).map(str::to_owned));
+                there.extend(old.files().map(str::to_owned));
             }
-            manifest.absorb(old);
+            manifest.absorb(&old);
         }
         (Some(old), Some(_)) if args.force => old.remove_files(out),
         (Some(_), Some((name, was, is))) => {
@@ -363,7 +364,7 @@ fn draw(
             .collect();
         let more = if picked.len() > 5 { ", …" } else { "" };
         let list = picked.iter().take(5).copied().collect::<Vec<_>>().join(", ") + more;
-        (!picked.is_empty()).then(|| (picked.len(), list))
+        (!picked.is_empty()).then_some((picked.len(), list))
     };
     if let Some((n, list)) = ids(&|d| d.empty) {
         warnings.push(format!(

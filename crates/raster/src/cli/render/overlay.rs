@@ -80,7 +80,7 @@ fn depth_colors(width: usize, height: usize, depth: &[f32]) -> (Canvas, Option<(
 /// Normals as they are in their picture: `(n + 1) / 2`, black where there is none.
 pub(super) fn normal_colors(normal: &[[f32; 3]]) -> Vec<Rgb> {
     let color = |n: &[f32; 3]| {
-        if *n == [0.0; 3] {
+        if n.iter().all(|c| *c == 0.0) {
             return [0; 3];
         }
         n.map(|c| (255.0 * (0.5 * c + 0.5)).round().clamp(0.0, 255.0) as u8)
