@@ -6,6 +6,9 @@ use super::tiles::{SIDE, Units};
 /// Faces whose corners are further out than so many times the image are cut to its surroundings.
 const FAR: f64 = 4.0;
 
+/// The last pixel centre of a tile from its first, in tiles.
+const LAST: f64 = (SIDE - 1) as f64 / SIDE as f64;
+
 /// An edge in each lane, in widths from the face's [origin](Block::x). With `d` the way from there
 /// to a pixel, the pixel is at `along = e.d + along0` from the middle of the edge, and at
 /// `across = e x d + across0` from its line, inwards positive. `e` is a unit vector.
@@ -45,14 +48,16 @@ pub(super) struct Block<R> {
     pub(super) edges: [Edges<R>; 3],
     /// Tiles within reach: columns `0..1`, rows `2..3`.
     pub(super) tiles: [[i32; LANES]; 4],
+    /// Of the 8x8 tiles from the first one on, those within reach: bit `8 row + column`.
+    pub(super) near: [u64; LANES],
     /// Whether the second and the third corner are exchanged.
     pub(super) turned: [bool; LANES],
     /// Without area.
     pub(super) flat: [bool; LANES],
     /// Further out than [`FAR`].
     far: [bool; LANES],
-    /// Where the parts of the edges that were kept begin and end, of far faces.
-    kept: [[[f64; 2]; 3]; LANES],
+    /// Where the part of each edge that is measured begins and ends: all of it but for far faces.
+    pub(super) kept: [[[f64; LANES]; 2]; 3],
 }
 
 /// What a block is made of.
@@ -76,16 +81,12 @@ impl<R: Real> Block<R> {
             y: none,
             edges: [edges; 3],
             tiles: [[0; LANES]; 4],
+            near: [0; LANES],
             turned: [false; LANES],
             flat: [false; LANES],
             far: [false; LANES],
-            kept: [[[0.0, 1.0]; 3]; LANES],
+            kept: [[[0.0; LANES], [1.0; LANES]]; 3],
         }
-    }
-
-    /// The part of edge `k` in a lane that is measured.
-    pub(super) fn kept(&self, lane: usize, k: usize) -> [f64; 2] {
-        if self.far[lane] { self.kept[lane][k] } else { [0.0, 1.0] }
     }
 
     #[inline(always)]
@@ -157,6 +158,7 @@ impl<R: Real> Block<R> {
         for k in 0..3 {
             let [i, j] = [2 * k, 2 * ((k + 1) % 3)];
             let edges = &mut self.edges[k];
+            self.kept[k] = [[0.0; LANES], [1.0; LANES]];
             for l in 0..LANES {
                 let (ox, oy) = (self.x[l].wide(), self.y[l].wide());
                 let (px, py) = (R::of(corners[i][l] - ox), R::of(corners[i + 1][l] - oy));
@@ -176,17 +178,53 @@ impl<R: Real> Block<R> {
                 edges.half[l] = if point { R::ZERO } else { length / two };
             }
         }
+        // In tiles: the pixel centres of tile `t` are at `t`, .., `t + 3/4`.
+        let (mut low, mut high) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
         for axis in 0..2 {
             let count = source.count[axis] as f64;
             let per_tile = 1.0 / (SIDE as f64 * scale[axis]);
             let shift = (half[axis] - 0.5) / SIDE as f64 - source.first[axis] as f64;
+            let margin = reach * per_tile + 1e-3;
             for l in 0..LANES {
                 let (a, b, c) = (corners[axis][l], corners[axis + 2][l], corners[axis + 4][l]);
-                let low = (a.least(b).least(c) - reach) * per_tile + shift;
-                let high = (a.most(b).most(c) + reach) * per_tile + shift + 1.0;
-                self.tiles[2 * axis][l] = low.most(0.0).least(count).to_i32();
-                self.tiles[2 * axis + 1][l] = high.most(0.0).least(count).to_i32();
+                low[axis][l] = a.least(b).least(c) * per_tile + shift;
+                high[axis][l] = a.most(b).most(c) * per_tile + shift;
+                let from = low[axis][l] - margin - LAST;
+                let to = high[axis][l] + margin + 1.0;
+                self.tiles[2 * axis][l] = from.most(0.0).least(count).floor_i32();
+                self.tiles[2 * axis + 1][l] = to.most(0.0).least(count).floor_i32();
             }
+        }
+        // The same from the first tile within reach on, cut where the box is far off.
+        for axis in 0..2 {
+            for l in 0..LANES {
+                low[axis][l] = low[axis][l] - f64::from(self.tiles[2 * axis][l]);
+                high[axis][l] = high[axis][l] - f64::from(self.tiles[2 * axis][l]);
+            }
+        }
+        let [x0, y0] = low.map(|lanes| lanes.map(R::of));
+        let [x1, y1] = high.map(|lanes| lanes.map(R::of));
+        let (down, across) = (R::of(SIDE as f64 * scale[1]), R::of(1.0 / (SIDE as f64 * scale[0])));
+        let squared = R::of(reach * reach * 1.001);
+        let (last, eight) = (R::of(LAST + 1e-3), R::of(8.0));
+        self.near = [0; LANES];
+        for row in 0..8 {
+            let r = R::of(f64::from(row));
+            for l in 0..LANES {
+                let gap = (y0[l] - r - last).most(r - y1[l]).most(R::ZERO) * down;
+                let left = squared - gap * gap;
+                let wide = left.most(R::ZERO).sqrt() * across;
+                let from = (x0[l] - wide - last).most(R::ZERO).least(eight);
+                let from = 8 - (eight - from).floor_i32();
+                let to = (x1[l] + wide + R::ONE).most(R::ZERO).least(eight).floor_i32();
+                let bits =
+                    if left > R::ZERO && to > from { (1 << to) - (1 << from) } else { 0_i32 };
+                self.near[l] |= (bits as u64) << (8 * row);
+            }
+        }
+        for l in 0..LANES {
+            let [left, right, top, bottom] = [0, 1, 2, 3].map(|k| self.tiles[k][l]);
+            self.near[l] |= if (right - left).max(bottom - top) > 8 { u64::MAX } else { 0 };
         }
     }
 
@@ -232,7 +270,7 @@ impl<R: Real> Block<R> {
                 edges.along[lane] = R::of(-(e[0] * m[0] + e[1] * m[1]));
                 edges.across[lane] = R::of(e[1] * m[0] - e[0] * m[1]);
                 edges.half[lane] = R::of(0.5 * (q[0] - p[0]).hypot(q[1] - p[1]));
-                self.kept[lane][k] = [from, to];
+                (self.kept[k][0][lane], self.kept[k][1][lane]) = (from, to);
             } else {
                 // Out of reach, but its line still says on which side a pixel is.
                 let away = 1e3 * (source.units.extent() + reach);
@@ -240,7 +278,6 @@ impl<R: Real> Block<R> {
                 edges.along[lane] = R::of(away);
                 edges.across[lane] = R::of(across.clamp(-away, away));
                 edges.half[lane] = R::ZERO;
-                self.kept[lane][k] = [0.0, 1.0];
             }
         }
     }

@@ -55,13 +55,13 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                 let mut column = from;
                 while column < to {
                     let mut used = tiles.used(column, row, to - column, bottom - row);
+                    used &= block.near[lane];
                     while used != 0 {
                         let at = used.trailing_zeros() as usize;
                         let (c, r) = (column + at % 8, row + at / 8);
-                        let x = tiles.x[c] - face.x;
-                        let y = tiles.y[r] - face.y;
+                        let place = [&tiles.x[c], &tiles.y[r]];
                         let values = &mut tiles.values[r * tiles.count[0] + c];
-                        draw_tile::<R, FMA, SIGMOID>(&face, [x, y], &tiles.offset, values);
+                        draw_tile::<R, FMA, SIGMOID>(&face, place, values);
                         used &= used - 1;
                     }
                     column += 8;
@@ -86,23 +86,22 @@ fn measure<R: Real, const FMA: bool>(face: &Face<R>, k: usize, x: R, y: R) -> (R
 #[inline(always)]
 fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     face: &Face<R>,
-    [x, y]: [R; 2],
-    offset: &[[R; LANES]; 2],
+    [x, y]: [&[R; LANES]; 2],
     values: &mut [R; LANES],
 ) {
     for l in 0..LANES {
-        let (x, y) = (x + offset[0][l], y + offset[1][l]);
+        let (x, y) = (x[l] - face.x, y[l] - face.y);
         let (d0, s0, _, _) = measure::<R, FMA>(face, 0, x, y);
         let (d1, s1, _, _) = measure::<R, FMA>(face, 1, x, y);
         let (d2, s2, _, _) = measure::<R, FMA>(face, 2, x, y);
         let e = d0.least(d1).least(d2).exp_negative::<FMA>();
         let left = if SIGMOID {
             let inside = s0.least(s1).least(s2) >= R::ZERO;
-            (if inside { e } else { R::ONE }) / (R::ONE + e)
+            values[l] * (if inside { e } else { R::ONE }) / (R::ONE + e)
         } else {
-            (R::ONE - e).most(R::LEAST_FACTOR)
+            (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = (values[l] * left).most(R::LEAST_PRODUCT);
+        values[l] = left.most(R::LEAST_PRODUCT);
     }
 }
 
@@ -119,10 +118,12 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     dv: &mut [f64],
 ) {
     let mut block = Block::new();
+    let mut block_sums = BlockSums::new();
     let mut first = 0;
     while first < source.faces.len() {
         let count = block.load(source, first);
         for lane in 0..count {
+            block_sums.any[lane] = false;
             if SIGMOID && block.flat[lane] {
                 continue;
             }
@@ -135,30 +136,23 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                 let mut column = from;
                 while column < to {
                     let mut used = tiles.used(column, row, to - column, bottom - row);
+                    used &= block.near[lane];
                     any |= used != 0;
                     while used != 0 {
                         let at = used.trailing_zeros() as usize;
                         let (c, r) = (column + at % 8, row + at / 8);
-                        let x = tiles.x[c] - face.x;
-                        let y = tiles.y[r] - face.y;
+                        let place = [&tiles.x[c], &tiles.y[r]];
                         let values = &tiles.values[r * tiles.count[0] + c];
-                        back_tile::<R, FMA, SIGMOID>(
-                            &face,
-                            [x, y],
-                            &tiles.offset,
-                            values,
-                            &mut sums,
-                        );
+                        back_tile::<R, FMA, SIGMOID>(&face, place, values, &mut sums);
                         used &= used - 1;
                     }
                     column += 8;
                 }
                 row += 8;
             }
-            if any {
-                scatter(source, &block, [first, lane], &total(&sums), factor, du, dv);
-            }
+            block_sums.set(lane, any, &sums);
         }
+        scatter(source, &block, [first, count], &block_sums, factor, du, dv);
         first += LANES;
     }
 }
@@ -166,13 +160,12 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
 #[inline(always)]
 fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     face: &Face<R>,
-    [x, y]: [R; 2],
-    offset: &[[R; LANES]; 2],
+    [x, y]: [&[R; LANES]; 2],
     values: &[R; LANES],
     sums: &mut Sums<R>,
 ) {
     for l in 0..LANES {
-        let (x, y) = (x + offset[0][l], y + offset[1][l]);
+        let (x, y) = (x[l] - face.x, y[l] - face.y);
         let (d0, s0, b0, a0) = measure::<R, FMA>(face, 0, x, y);
         let (d1, s1, b1, a1) = measure::<R, FMA>(face, 1, x, y);
         let (d2, s2, b2, a2) = measure::<R, FMA>(face, 2, x, y);
@@ -209,61 +202,86 @@ fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     }
 }
 
-/// Sums over the lanes, in a fixed order.
-#[inline(always)]
-fn total<R: Real>(sums: &Sums<R>) -> [[f64; 4]; 3] {
-    let mut total = [[0.0; 4]; 3];
-    for k in 0..3 {
-        for n in 0..4 {
-            let mut lanes = sums[k][n];
-            let mut half = LANES / 2;
-            while half > 0 {
-                for l in 0..half {
-                    lanes[l] = lanes[l] + lanes[l + half];
-                }
-                half /= 2;
-            }
-            total[k][n] = lanes[0].wide();
-        }
-    }
-    total
+/// [`Sums`] of the faces of a block, over the pixels: the lanes are the faces.
+struct BlockSums<R> {
+    sums: Sums<R>,
+    any: [bool; LANES],
 }
 
-/// Carry the sums of a face on to its corners. With `q` the nearest point of edge `a b` at `s`, the
+impl<R: Real> BlockSums<R> {
+    fn new() -> Self {
+        Self { sums: [[[R::ZERO; LANES]; 4]; 3], any: [false; LANES] }
+    }
+
+    /// Sums over the pixels, in a fixed order.
+    #[inline(always)]
+    fn set(&mut self, lane: usize, any: bool, sums: &Sums<R>) {
+        self.any[lane] = any;
+        if !any {
+            return;
+        }
+        for k in 0..3 {
+            for n in 0..4 {
+                let mut lanes = sums[k][n];
+                let mut half = LANES / 2;
+                while half > 0 {
+                    for l in 0..half {
+                        lanes[l] = lanes[l] + lanes[l + half];
+                    }
+                    half /= 2;
+                }
+                self.sums[k][n][lane] = lanes[0];
+            }
+        }
+    }
+}
+
+/// Carry the sums of a block on to the corners. With `q` the nearest point of edge `a b` at `s`, the
 /// derivative of the squared distance is `2 (1 - s)(q - pixel)` for `a` and `2 s (q - pixel)` for
 /// `b` (envelope theorem).
 #[inline(always)]
-pub(super) fn scatter<R: Real>(
+fn scatter<R: Real>(
     source: &Source<'_>,
     block: &Block<R>,
-    [first, lane]: [usize; 2],
-    sums: &[[f64; 4]; 3],
+    [first, count]: [usize; 2],
+    sums: &BlockSums<R>,
     factor: f64,
     du: &mut [f64],
     dv: &mut [f64],
 ) {
-    let [a, b, c] = source.faces[first + lane];
-    let corners = if block.turned[lane] { [a, c, b] } else { [a, b, c] };
     let scale = source.units.scale.map(|s| 2.0 * factor * s);
-    let face = block.face(lane);
-    for (k, [across, across_along, end, beyond]) in sums.iter().enumerate() {
-        let e = [face.edges[k].x.wide(), face.edges[k].y.wide()];
-        let half = face.edges[k].half.wide();
-        // q - pixel = -end e - across (-e_y, e_x).
-        let whole = [-end * e[0] + across * e[1], -end * e[1] - across * e[0]];
-        let (end, across) = (half * beyond, across_along);
-        let tilt = [-end * e[0] + across * e[1], -end * e[1] - across * e[0]];
-        let [from, to] = block.kept(lane, k);
-        let [p, q] = [corners[k] as usize, corners[(k + 1) % 3] as usize];
-        for (axis, out) in [&mut *du, &mut *dv].into_iter().enumerate() {
-            let part = if half > 0.0 {
-                0.5 * (whole[axis] + tilt[axis] / half)
-            } else {
-                0.5 * whole[axis]
-            };
-            let second = from * whole[axis] + (to - from) * part;
-            out[p] += scale[axis] * (whole[axis] - second);
-            out[q] += scale[axis] * second;
+    // For the ends of each edge, per axis.
+    let mut ends = [[[0.0; LANES]; 4]; 3];
+    for k in 0..3 {
+        let (edges, [s0, s1, s2, s3]) = (&block.edges[k], &sums.sums[k]);
+        for l in 0..LANES {
+            let (x, y, half) = (edges.x[l].wide(), edges.y[l].wide(), edges.half[l].wide());
+            let (across, end) = (s0[l].wide(), s2[l].wide());
+            let inverse = if half > 0.0 { 1.0 / half } else { 0.0 };
+            // q - pixel = -end e - across (-e_y, e_x).
+            let (wx, wy) = (across * y - end * x, -across * x - end * y);
+            let (across, end) = (s1[l].wide() * inverse, s3[l].wide());
+            let end = if half > 0.0 { end } else { 0.0 };
+            let (tx, ty) = (across * y - end * x, -across * x - end * y);
+            let [from, to] = [block.kept[k][0][l], block.kept[k][1][l]];
+            let (bx, by) = (0.5 * (wx + tx), 0.5 * (wy + ty));
+            let (bx, by) = (from * wx + (to - from) * bx, from * wy + (to - from) * by);
+            ends[k][0][l] = scale[0] * (wx - bx);
+            ends[k][1][l] = scale[1] * (wy - by);
+            ends[k][2][l] = scale[0] * bx;
+            ends[k][3][l] = scale[1] * by;
+        }
+    }
+    for lane in 0..count {
+        if !sums.any[lane] {
+            continue;
+        }
+        let [a, b, c] = source.faces[first + lane];
+        let corners = if block.turned[lane] { [a, c, b] } else { [a, b, c] };
+        for k in 0..3 {
+            let (point, before) = (corners[k] as usize, (k + 2) % 3);
+            du[point] += ends[k][0][lane] + ends[before][2][lane];
+            dv[point] += ends[k][1][lane] + ends[before][3][lane];
         }
     }
 }

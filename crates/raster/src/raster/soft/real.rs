@@ -27,7 +27,8 @@ pub(super) trait Real:
     const REACH: f64;
     /// The same for gradients, which are sums of many pixels.
     const REACH_BACK: f64;
-    /// Least value of a factor of the product, so that dividing by it stays finite.
+    /// What a factor of the product is at least when it is taken out again. The pixel lies on
+    /// the face then, and the product is too small to count.
     const LEAST_FACTOR: Self;
     /// Least value of the product: far below what counts, far above subnormal numbers.
     const LEAST_PRODUCT: Self;
@@ -42,7 +43,8 @@ pub(super) trait Real:
     fn wide(self) -> f64;
     fn abs(self) -> Self;
     fn sqrt(self) -> Self;
-    fn to_i32(self) -> i32;
+    /// The integer below; up to 1e-4 more is taken for the one above. For `0 <= self < 2^20`.
+    fn floor_i32(self) -> i32;
     /// `self * b + c`, in one instruction where `FMA`.
     fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self;
     /// `exp(-self)` for `self >= 0`, accurate to a few units of the last place.
@@ -58,6 +60,10 @@ pub(super) trait Real:
         if self > other { self } else { other }
     }
 }
+
+/// Adding it rounds to an integer, which is in the low bits then: 1.5 * 2^23 and 1.5 * 2^52.
+const ROUND_SINGLE: f32 = 12_582_912.0;
+const ROUND_DOUBLE: f64 = 6_755_399_441_055_744.0;
 
 thread_local! {
     static SINGLE: RefCell<Scratch<f32>> = RefCell::default();
@@ -86,10 +92,6 @@ macro_rules! plain {
             self.sqrt()
         }
         #[inline(always)]
-        fn to_i32(self) -> i32 {
-            self as i32
-        }
-        #[inline(always)]
         fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self {
             if FMA { self.mul_add(b, c) } else { self * b + c }
         }
@@ -100,21 +102,25 @@ macro_rules! plain {
 }
 
 impl Real for f32 {
-    const REACH: f64 = 16.0;
-    const REACH_BACK: f64 = 14.0;
-    const LEAST_FACTOR: Self = 1e-12;
+    const REACH: f64 = 14.0;
+    const REACH_BACK: f64 = 13.5;
+    const LEAST_FACTOR: Self = 1e-7;
     const LEAST_PRODUCT: Self = 1e-30;
-    const FULL: Self = 1e-9;
+    const FULL: Self = 1e-7;
     const SAME: Self = 1e-15;
     plain!(SINGLE, f32);
+
+    #[inline(always)]
+    fn floor_i32(self) -> i32 {
+        (self - 0.4999 + ROUND_SINGLE).to_bits().wrapping_sub(ROUND_SINGLE.to_bits()) as i32
+    }
 
     /// `2^n 2^r`, `2^r` as a polynomial of relative error 8e-8 over `|r| <= 1/2`.
     #[inline(always)]
     fn exp_negative<const FMA: bool>(self) -> Self {
-        const ROUND: f32 = 12_582_912.0; // 1.5 * 2^23: adding it rounds to integers
         let y = self.least(80.0) * -std::f32::consts::LOG2_E;
-        let shifted = y + ROUND;
-        let r = y - (shifted - ROUND);
+        let shifted = y + ROUND_SINGLE;
+        let r = y - (shifted - ROUND_SINGLE);
         let p = 0.001_327_646_f32
             .fused::<FMA>(r, 0.009_675_542)
             .fused::<FMA>(r, 0.055_507_135)
@@ -128,21 +134,25 @@ impl Real for f32 {
 impl Real for f64 {
     const REACH: f64 = 41.5;
     const REACH_BACK: f64 = 41.5;
-    const LEAST_FACTOR: Self = 1e-60;
+    const LEAST_FACTOR: Self = 1e-16;
     const LEAST_PRODUCT: Self = 1e-200;
     const FULL: Self = 1e-22;
     const SAME: Self = 1e-120;
     plain!(DOUBLE, f64);
 
+    #[inline(always)]
+    fn floor_i32(self) -> i32 {
+        (self - 0.4999 + ROUND_DOUBLE).to_bits() as i32
+    }
+
     /// `2^n e^r`, `e^r` as its Taylor polynomial over `|r| <= ln(2) / 2`.
     #[inline(always)]
     fn exp_negative<const FMA: bool>(self) -> Self {
-        const ROUND: f64 = 6_755_399_441_055_744.0; // 1.5 * 2^52
         const HIGH: f64 = 0.693_147_180_369_123_8; // ln 2 to 32 bits, and the rest
         const LOW: f64 = 1.908_214_929_270_587_7e-10;
         let y = -self.least(600.0);
-        let shifted = y * std::f64::consts::LOG2_E + ROUND;
-        let n = shifted - ROUND;
+        let shifted = y * std::f64::consts::LOG2_E + ROUND_DOUBLE;
+        let n = shifted - ROUND_DOUBLE;
         let r = (y - n * HIGH) - n * LOW;
         let mut p = 1.0 / 6_227_020_800.0;
         p = p.fused::<FMA>(r, 1.0 / 479_001_600.0);

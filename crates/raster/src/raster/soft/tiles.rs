@@ -41,12 +41,10 @@ pub(super) struct Tiles<R> {
     pub(super) values: Vec<[R; LANES]>,
     /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
     bits: Vec<u8>,
-    /// Left-most pixel centre of each column of tiles, in widths.
-    pub(super) x: Vec<R>,
-    /// Upper pixel centre of each row of tiles, in widths.
-    pub(super) y: Vec<R>,
-    /// Where the pixels of a tile are, from its first one.
-    pub(super) offset: [[R; LANES]; 2],
+    /// Pixel centres of the tiles of a column, in widths.
+    pub(super) x: Vec<[R; LANES]>,
+    /// Pixel centres of the tiles of a row, in widths.
+    pub(super) y: Vec<[R; LANES]>,
 }
 
 impl<R: Real> Default for Tiles<R> {
@@ -58,7 +56,6 @@ impl<R: Real> Default for Tiles<R> {
             bits: Vec::new(),
             x: Vec::new(),
             y: Vec::new(),
-            offset: [[R::ZERO; LANES]; 2],
         }
     }
 }
@@ -80,18 +77,18 @@ impl<R: Real> Tiles<R> {
             }
             (self.first[axis], self.count[axis]) = (first, end - first);
         }
-        let place = |axis: usize, tile: usize| {
-            let pixel = (SIDE * (self.first[axis] + tile)) as f64 + 0.5;
+        let place = |axis: usize, pixel: usize| {
+            let pixel = (SIDE * self.first[axis] + pixel) as f64 + 0.5;
             R::of((pixel - units.half[axis]) * units.scale[axis])
         };
         self.x.clear();
-        self.x.extend((0..self.count[0]).map(|tile| place(0, tile)));
+        self.x.extend((0..self.count[0]).map(|tile| -> [R; LANES] {
+            std::array::from_fn(|lane| place(0, SIDE * tile + lane % SIDE))
+        }));
         self.y.clear();
-        self.y.extend((0..self.count[1]).map(|tile| place(1, tile)));
-        for lane in 0..LANES {
-            self.offset[0][lane] = R::of((lane % SIDE) as f64 * units.scale[0]);
-            self.offset[1][lane] = R::of((lane / SIDE) as f64 * units.scale[1]);
-        }
+        self.y.extend((0..self.count[1]).map(|tile| -> [R; LANES] {
+            std::array::from_fn(|lane| place(1, SIDE * tile + lane / SIDE))
+        }));
         true
     }
 
