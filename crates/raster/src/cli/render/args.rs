@@ -14,8 +14,8 @@ const EXAMPLES: &str = "\
 Examples:
   dronepose render drone.obj poses.csv --camera 252.7,252.7,160,120,320,240 --out drawn
   dronepose render drone.obj poses.csv --fov 50.8 --size 320x240 --out drawn --sigma 1.5
-  dronepose render drone.obj poses.csv --camera camera.json --out drawn \\
-      --save silhouette,depth,normal,overlay --format png,npy --background frames
+  dronepose render drone.obj poses.csv --camera camera.json --out drawn --save depth,normal --format npy
+  dronepose render drone.obj poses.csv --camera camera.json --out drawn --save overlay --background frames
   dronepose render drone.obj poses.csv --camera camera.json --out drawn --limit 1 --compare
 
 Files are OUT/LAYER/ID.png and .npy; OUT/manifest.json says how they were made. A run that was
@@ -51,7 +51,7 @@ pub struct Args {
     /// Size of the pictures, where the camera does not say it
     #[arg(long, value_name = "WxH", value_parser = size, help_heading = "Camera")]
     pub size: Option<(u32, u32)>,
-    /// The camera's cx, cy count from the centre of the first pixel, as those of `OpenCV` and BOP do:
+    /// The camera's cx, cy count from the centre of the first pixel, as those of OpenCV and BOP do:
     /// half a pixel is added
     #[arg(long, help_heading = "Camera")]
     pub integer_centers: bool,
@@ -81,17 +81,18 @@ pub struct Args {
     /// How silhouettes are drawn; docs/rendering.md says which to use when
     #[arg(long, value_name = "MODE", default_value = "coverage", help_heading = "Silhouette")]
     pub mode: ModeName,
-    /// Blur of the mode coverage: standard deviation in pixels, 0 for none
+    /// Blur of the mode coverage: standard deviation in pixels, 0 for none [default:
+    /// 0]
     #[arg(long, value_name = "PIXELS", help_heading = "Silhouette", allow_negative_numbers = true)]
     pub sigma: Option<f64>,
     /// Sharpness of the mode dibr: Kaolin's sigmainv, p = exp(-delta d²), d in NDC [default: 7000]
     #[arg(long, value_name = "DELTA", help_heading = "Silhouette", allow_negative_numbers = true)]
     pub delta: Option<f64>,
-    /// Width of the mode sigmoid: `PyTorch3D`'s sigma, p = sigmoid(d² / sigma), d in NDC [default:
+    /// Width of the mode sigmoid: PyTorch3D's sigma, p = sigmoid(d² / sigma), d in NDC [default:
     /// 1e-4]
     #[arg(long, value_name = "SIGMA", help_heading = "Silhouette", allow_negative_numbers = true)]
     pub sigma_ndc: Option<f64>,
-    /// Draw dibr and sigmoid with the cut-offs of Kaolin (boxlen 0.02, 30 faces) and `PyTorch3D`
+    /// Draw dibr and sigmoid with the cut-offs of Kaolin (boxlen 0.02, 30 faces) and PyTorch3D
     /// (50 faces), not exactly
     #[arg(long, help_heading = "Silhouette")]
     pub cutoffs: bool,
@@ -144,7 +145,7 @@ pub enum ModeName {
     Hard,
     /// The soft mask of DIB-R (Kaolin), over all faces
     Dibr,
-    /// The soft mask of `SoftRas` and `PyTorch3D`, over all faces
+    /// The soft mask of SoftRas and PyTorch3D, over all faces
     Sigmoid,
 }
 
@@ -171,7 +172,7 @@ pub enum Layer {
 pub enum FileFormat {
     /// A picture.
     Png,
-    /// An array of `NumPy`.
+    /// An array of NumPy.
     Npy,
 }
 

@@ -62,7 +62,7 @@ pub(super) fn compare(layers: &Layers<'_>, modes: &[Mode]) -> Result<Canvas> {
     if let Some(first) = pieces.first_mut() {
         first.captions.push(format!("x{times}; line: true outline"));
     }
-    let heading = format!("{}   true area {truth:.1} px", layers.frame.id);
+    let heading = format!("{}: true area {truth:.1} px", layers.frame.id);
     wholes.extend(pieces);
     Ok(sheet(&heading, &wholes, modes.len()))
 }

@@ -193,14 +193,14 @@ fn odd_units(args: &Args, job: &Job, diagonal: f64) -> Option<String> {
     let mesh = args.mesh.display();
     if diagonal > 20.0 * median {
         return Some(format!(
-            "{mesh} is {diagonal:.4} m across, {:.0} times its distance to the camera: does it \
+            "{mesh} is {diagonal:.1} m across, {:.0} times its distance to the camera: does it \
              need --mesh-unit mm?",
             diagonal / median
         ));
     }
     (median > 300.0 * diagonal).then(|| {
         format!(
-            "the poses are {median:.4} m away, {:.0} times the size of {mesh}: do they need \
+            "the poses are {median:.1} m away, {:.0} times the size of {mesh}: do they need \
              --unit mm?",
             median / diagonal
         )
