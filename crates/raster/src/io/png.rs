@@ -1,6 +1,6 @@
 //! Pictures: PNG written in 8 and 16 bits, PNG and JPEG read as RGB.
 
-use std::io::{self, Cursor, Write};
+use std::io::{self, Cursor, Read, Write};
 use std::path::Path;
 
 use crate::error::{Error, Place, Result};
@@ -8,6 +8,9 @@ use crate::io::input::Input;
 
 /// A picture above this is refused.
 const LARGEST_FILE: u64 = 256 << 20;
+
+/// The size of a picture is said before this many bytes.
+const LARGEST_HEAD: u64 = 1 << 20;
 
 /// Samples of a picture to write, row by row.
 #[derive(Debug, Clone, Copy)]
@@ -93,7 +96,7 @@ pub fn read_picture(path: &Path) -> Result<Picture> {
     }
 }
 
-/// The size of a PNG or JPEG file, from its header.
+/// The size of a PNG or JPEG file, from its header alone.
 ///
 /// # Errors
 /// As [`read_picture`].
@@ -101,7 +104,9 @@ pub fn picture_size(path: &Path) -> Result<(usize, usize)> {
     let mut input = Input::open(path)?;
     let place = Place::file(&path.display().to_string());
     let refuse = |found: String| Error::malformed(place.clone(), found, "a PNG or JPEG picture");
-    let bytes = input.read_all(LARGEST_FILE)?;
+    let mut bytes = Vec::new();
+    let head = input.by_ref().take(LARGEST_HEAD).read_to_end(&mut bytes);
+    head.map_err(|source| Error::Read { path: path.to_owned(), source })?;
     if bytes.starts_with(b"\x89PNG") {
         let reader = png::Decoder::new(Cursor::new(&bytes)).read_info();
         let info = reader.map_err(|e| refuse(format!("a broken PNG ({e})")))?.info().size();
