@@ -1,9 +1,9 @@
 """The extension module. Arrays are C-contiguous float64; the public functions convert and check."""
 
 import os
-from typing import final
+from typing import Any, final
 
-from numpy import float32, float64, int32, uint32
+from numpy import float32, float64, int32, uint8, uint32
 from numpy.typing import NDArray
 
 __all__ = [
@@ -18,6 +18,8 @@ __all__ = [
     "cli_dronepose",
     "cli_run",
     "evaluate",
+    "flow",
+    "gbuffer",
     "matrix_from_6d",
     "matrix_from_axis_angle",
     "matrix_from_quat_wxyz",
@@ -218,3 +220,40 @@ def silhouette_gradients(
 ) -> tuple[NDArray[float64], NDArray[float64], NDArray[float64], list[NDArray[float64]]]:
     """Gradients of ``sum(upstream * masks)`` for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked
     for, the vertices of each model."""
+
+# -- gbuffer ---------------------------------------------------------------------------------------
+
+_Camera = tuple[float, float, float, float, float, int, int]
+
+def gbuffer(
+    meshes: list[Mesh],
+    camera: _Camera,
+    R: NDArray[float64],
+    t: NDArray[float64],
+    channels: list[str],
+    normals: str,
+    attributes: list[NDArray[float64] | None],
+    uv: list[NDArray[float64] | None],
+    samples: int,
+    near: float | None,
+    double: bool,
+    threads: int,
+) -> dict[str, NDArray[Any] | None]:
+    """The planes named in ``channels``, ``(B, H, W, ...)``, by name."""
+
+def flow(
+    meshes: list[Mesh],
+    cameras: tuple[_Camera, _Camera],
+    R0: NDArray[float64],
+    t0: NDArray[float64],
+    R1: NDArray[float64],
+    t1: NDArray[float64],
+    background: tuple[NDArray[float64], NDArray[float64], NDArray[float64]] | None,
+    tolerance: float,
+    near: float | None,
+    double: bool,
+    threads: int,
+) -> tuple[NDArray[Any], NDArray[uint8]]:
+    """Flow ``(B, H, W, 2)`` in pixels and what became of each point ``(B, H, W)``."""
+
+# -- end of gbuffer --------------------------------------------------------------------------------

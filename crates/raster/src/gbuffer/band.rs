@@ -6,6 +6,8 @@ use std::ops::Range;
 use multiversion::multiversion;
 use rayon::prelude::*;
 
+#[cfg(target_arch = "x86_64")]
+use super::avx512;
 use super::setup::{Prepared, Record, edge};
 use super::{Fragment, Surface};
 use crate::raster::Size;
@@ -49,7 +51,7 @@ pub(super) fn band_rows(size: Size, unit: usize) -> usize {
 
 /// Draw an image of `size` samples band by band and hand each band with its piece to `resolve`;
 /// the pieces are those of [`band_rows`], in order.
-pub(super) fn draw<P: Send>(
+pub(super) fn draw_bands<P: Send>(
     prepared: &Prepared,
     (size, rows): (Size, usize),
     pieces: Vec<P>,
@@ -159,18 +161,11 @@ fn fill(
         touched[1] = touched[1].max(end);
         touched[2] = touched[2].min(left);
         touched[3] = touched[3].max(right);
-        let blocks = ((right - left) as usize).div_ceil(LANES) * LANES;
-        for row in first..end {
-            let start = (row - top) as usize * stride + left as usize;
-            let nearness = &mut nearness[start..start + blocks];
-            let ids = &mut ids[start..start + blocks];
-            let v = f64::from(row) + 0.5;
-            let mut u = f64::from(left) + 0.5;
-            let lanes = nearness.as_chunks_mut::<LANES>().0.iter_mut();
-            for (nearness, ids) in lanes.zip(ids.as_chunks_mut::<LANES>().0) {
-                block(record, u, v, nearness, ids);
-                u += LANES as f64;
-            }
+        let start = (first - top) as usize * stride + left as usize;
+        let planes = (&mut nearness[start..], &mut ids[start..]);
+        multiversion::target::match_target! {
+            "x86_64+avx512f+avx512vl" => avx512::draw(record, [first, end], stride, planes),
+            _ => draw(record, [first, end], stride, planes),
         }
     }
     if touched[1] == 0 {
@@ -183,16 +178,39 @@ fn fill(
     }
 }
 
-/// Samples of one row from `u` on.
+/// Draw the rows of a record into planes that begin at its first row and column.
 #[inline(always)]
-fn block(record: &Record, u: f64, v: f64, nearness: &mut [f64; LANES], ids: &mut [u32; LANES]) {
+fn draw(
+    record: &Record,
+    [first, end]: [i32; 2],
+    stride: usize,
+    (nearness, ids): (&mut [f64], &mut [u32]),
+) {
+    let [left, right] = record.columns;
+    let count = ((right - left) as usize).div_ceil(LANES) * LANES;
+    let mut start = 0;
+    for row in first..end {
+        let samples = start..start + count;
+        let planes = (&mut nearness[samples.clone()], &mut ids[samples]);
+        draw_row(record, f64::from(left) + 0.5, f64::from(row) + 0.5, planes);
+        start += stride;
+    }
+}
+
+/// Samples of one row from `u` on; as many as there are whole groups of lanes.
+#[inline(always)]
+fn draw_row(record: &Record, u: f64, v: f64, (nearness, ids): (&mut [f64], &mut [u32])) {
+    // Of a length that has no remainder, which the compiler can see.
+    let count = nearness.len() / LANES * LANES;
+    let (nearness, ids) = (&mut nearness[..count], &mut ids[..count]);
+    let [ua, ub, uc] = record.u;
     let [va, vb, vc] = record.v.map(|corner| corner - v);
     let [base, d1, d2] = record.nearness;
     let [low, high] = record.range;
     let right = f64::from(record.columns[1]);
-    for k in 0..LANES {
-        let x = u + k as f64;
-        let (a, b, c) = ([record.u[0] - x, va], [record.u[1] - x, vb], [record.u[2] - x, vc]);
+    for k in 0..count {
+        let x = u + f64::from(k as i32);
+        let (a, b, c) = ([ua - x, va], [ub - x, vb], [uc - x, vc]);
         let (e0, e1, e2) = (edge(b, c), edge(c, a), edge(a, b));
         let w = base + e1 * d1 + e2 * d2;
         let w = if w < low { low } else { w };
@@ -200,5 +218,47 @@ fn block(record: &Record, u: f64, v: f64, nearness: &mut [f64; LANES], ids: &mut
         let seen = (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (x < right) & (w > nearness[k]);
         nearness[k] = if seen { w } else { nearness[k] };
         ids[k] = if seen { record.id } else { ids[k] };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::setup::Keep;
+    use super::*;
+    use crate::camera::Intrinsics;
+    use crate::raster::{Model, View};
+
+    proptest! {
+        #[test]
+        fn every_instruction_set_draws_the_same_bits(
+            triangles in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-1.0..1.0_f64)), 1..20)
+        ) {
+            let faces: Vec<[u32; 3]> =
+                (0..triangles.len() as u32).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+            let model = Model::new(triangles.as_flattened(), &faces).expect("valid");
+            let rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+            let camera = Intrinsics::new(40.0, 40.0, 20.0, 15.0).expect("valid");
+            let view = View { rotation, translation: [0.0, 0.0, 1.5], camera };
+            let size = Size { height: 30, width: 43 };
+            let mut prepared = Prepared::default();
+            let set_up = (size, 1.0, Keep::Centres);
+            prepared.prepare(&[Surface::new(&model)], &[view], 0.1, set_up).expect("drawn");
+            let stride = size.width + LANES;
+            let n = stride * 20;
+            let (mut fast, mut plain) = ((vec![0.0; n], vec![0; n]), (vec![0.0; n], vec![0; n]));
+            let planes = (fast.0.as_mut_slice(), fast.1.as_mut_slice());
+            fill(&prepared.records, &prepared.rows, 5..25, stride, planes);
+            for (record, &[first, end]) in prepared.records.iter().zip(&prepared.rows) {
+                let (first, end) = (first.max(5), end.min(25));
+                if first < end {
+                    let start = (first - 5) as usize * stride + record.columns[0] as usize;
+                    let planes = (&mut plain.0[start..], &mut plain.1[start..]);
+                    draw(record, [first, end], stride, planes);
+                }
+            }
+            prop_assert!(fast == plain);
+        }
     }
 }

@@ -57,7 +57,7 @@ pub fn draw<T: Pixel>(
             let pieces = pieces(fine, rows, |fine| {
                 super::split(&mut rest, fine / (samples * samples) * channels).unwrap_or_default()
             });
-            band::draw(prepared, (fine, rows), pieces, |band, _, piece| {
+            band::draw_bands(prepared, (fine, rows), pieces, |band, _, piece| {
                 let width = scenes.size.width * channels;
                 for (row, out) in piece.chunks_exact_mut(width).enumerate() {
                     out.fill(T::default());
@@ -76,7 +76,9 @@ pub fn draw<T: Pixel>(
                             *out = T::from_f64(out.to_f64() + 1.0);
                         }
                     }
-                    out.iter_mut().for_each(|x| *x = T::from_f64(x.to_f64() / all));
+                    for share in out {
+                        *share = T::from_f64(share.to_f64() / all);
+                    }
                 }
             });
             Ok(())

@@ -7,6 +7,7 @@
 use rayon::prelude::*;
 
 use super::setup::{Keep, Prepared};
+use super::tiles::Tiles;
 use super::{Fragment, Scenes, band, pieces, split};
 use crate::camera::Intrinsics;
 use crate::error::{Error, Result};
@@ -15,10 +16,6 @@ use crate::raster::{Pixel, Size, View};
 /// A surface hides a point if it is nearer by more than this share of the depth, where the caller
 /// names none.
 pub const DEFAULT_TOLERANCE: f64 = 1e-6;
-
-/// Tiles of an image at most, and entries in them.
-const TILES: usize = 1 << 16;
-const ENTRIES: usize = 1 << 26;
 
 /// What became of the point behind a pixel.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -199,10 +196,14 @@ impl Pairs<'_> {
             let flow = split(&mut flow, 2 * pixels).unwrap_or_default();
             (flow, split(&mut fate, pixels).unwrap_or_default())
         });
-        band::draw(before, (size, rows), pieces, |band, fragments, (flow, fate)| {
+        band::draw_bands(before, (size, rows), pieces, |band, fragments, (flow, fate)| {
             let rows = flow.chunks_exact_mut(2 * size.width).zip(fate.chunks_exact_mut(size.width));
             for (row, (flow, fate)) in rows.enumerate() {
                 let v = (band.rows.start + row) as f64 + 0.5;
+                if background.is_none() {
+                    flow.fill(T::default());
+                    fate.fill(Fate::None);
+                }
                 let mut write = |column: usize, (place, found): ([f64; 2], Fate)| {
                     let known = !matches!(found, Fate::Behind | Fate::None);
                     let centre = [column as f64 + 0.5, v];
@@ -213,92 +214,20 @@ impl Pairs<'_> {
                     fate[column] = found;
                 };
                 band.fragments(row, surfaces, fragments);
-                let mut next = 0;
-                for f in &*fragments {
-                    for column in next..f.column {
-                        write(
-                            column,
-                            background.as_ref().map_or_else(Default::default, |b| {
-                                behind(b, [column as f64 + 0.5, v])
-                            }),
-                        );
+                if let Some(background) = &background {
+                    let mut seen = fragments.iter().map(|f| f.column).peekable();
+                    for column in 0..size.width {
+                        if seen.next_if_eq(&column).is_none() {
+                            write(column, behind(background, [column as f64 + 0.5, v]));
+                        }
                     }
-                    write(f.column, seen(f));
-                    next = f.column + 1;
                 }
-                for column in next..size.width {
-                    write(
-                        column,
-                        background
-                            .as_ref()
-                            .map_or_else(Default::default, |b| behind(b, [column as f64 + 0.5, v])),
-                    );
+                for f in &*fragments {
+                    write(f.column, seen(f));
                 }
             }
         });
         Ok(())
-    }
-}
-
-/// For each square of an image, the faces that may be in it.
-#[derive(Debug)]
-struct Tiles {
-    side: usize,
-    columns: usize,
-    starts: Vec<u32>,
-    records: Vec<u32>,
-}
-
-impl Tiles {
-    fn new(prepared: &Prepared, size: Size) -> Self {
-        let mut side = 4;
-        while size.width.div_ceil(side) * size.height.div_ceil(side) > TILES {
-            side *= 2;
-        }
-        let span = |[first, end]: [i32; 2], side: usize| {
-            first as usize / side..(end as usize - 1) / side + 1
-        };
-        let boxes = || prepared.records.iter().zip(&prepared.rows);
-        let entries = |side: usize| -> usize {
-            boxes().map(|(r, &rows)| span(r.columns, side).len() * span(rows, side).len()).sum()
-        };
-        while entries(side) > ENTRIES && side < size.width.max(size.height) {
-            side *= 2;
-        }
-        let columns = size.width.div_ceil(side);
-        // Counted two places further on, so that filling in moves each start to its place.
-        let mut starts = vec![0_u32; columns * size.height.div_ceil(side) + 2];
-        for (record, &rows) in boxes() {
-            for row in span(rows, side) {
-                for column in span(record.columns, side) {
-                    starts[row * columns + column + 2] += 1;
-                }
-            }
-        }
-        for k in 1..starts.len() {
-            starts[k] += starts[k - 1];
-        }
-        let mut records = vec![0; starts.last().map_or(0, |&n| n as usize)];
-        for (k, (record, &rows)) in boxes().enumerate() {
-            for row in span(rows, side) {
-                for column in span(record.columns, side) {
-                    let next = &mut starts[row * columns + column + 1];
-                    records[*next as usize] = k as u32;
-                    *next += 1;
-                }
-            }
-        }
-        Self { side, columns, starts, records }
-    }
-
-    /// Whether a face at this point of the image has `1/z` above `nearness`.
-    fn hides(&self, prepared: &Prepared, [u, v]: [f64; 2], nearness: f64) -> bool {
-        let tile = v as usize / self.side * self.columns + u as usize / self.side;
-        let records = self.starts[tile] as usize..self.starts[tile + 1] as usize;
-        self.records[records].iter().any(|&k| {
-            let record = &prepared.records[k as usize];
-            record.range[1] > nearness && record.at(u, v).is_some_and(|w| w > nearness)
-        })
     }
 }
 
@@ -364,7 +293,9 @@ mod tests {
         let first = [view([-0.4, 0.0, 2.0]), View { rotation: turn(0.5), ..view([0.4, 0.2, 1.8]) }];
         let mut second =
             [View { rotation: turn(-0.4), ..view([-0.3, 0.1, 1.5]) }, view([0.3, -0.2, 2.5])];
-        second.iter_mut().for_each(|v| v.camera.fx = 40.0);
+        for view in &mut second {
+            view.camera.fx = 40.0;
+        }
         let (drawn, flow, _) = run(&models, &first, &second, None);
         let mut objects = [0; 2];
         for k in (0..SIZE.pixels()).filter(|&k| drawn.mask[k]) {

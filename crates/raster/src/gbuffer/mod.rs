@@ -15,7 +15,18 @@
 //!
 //! All numbers are computed in `f64` without fused operations and rounded once, so they depend
 //! neither on the processor nor on the number of threads.
+#![expect(
+    clippy::cast_possible_wrap,
+    reason = "pixels and faces are bounded far below 2^31 where they are signed"
+)]
+#![expect(
+    clippy::inline_always,
+    clippy::needless_bitwise_bool,
+    reason = "loops over lanes have to be compiled for the wide registers, and without branches"
+)]
 
+#[cfg(target_arch = "x86_64")]
+mod avx512;
 mod band;
 pub mod coverage;
 pub mod flow;
@@ -27,6 +38,7 @@ mod resolve;
 mod setup;
 #[cfg(test)]
 mod tests;
+mod tiles;
 
 use rayon::prelude::*;
 
@@ -113,7 +125,17 @@ fn split<'a, X>(plane: &mut Option<&'a mut [X]>, count: usize) -> Option<&'a mut
     Some(head)
 }
 
-impl<'a, T> GBuffer<'a, T> {
+impl<T> GBuffer<'_, T> {
+    /// Whether no plane is there.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        let floats = [&self.depth, &self.barycentrics, &self.normal, &self.attributes, &self.uv];
+        self.mask.is_none()
+            && self.object.is_none()
+            && self.face.is_none()
+            && floats.iter().all(|plane| plane.is_none())
+    }
+
     /// The planes of the next `pixels` pixels.
     fn split(&mut self, pixels: usize, channels: usize) -> Self {
         GBuffer {
@@ -249,7 +271,7 @@ impl Scenes<'_> {
                 prepared.prepare(self.surfaces, views, self.near(), set_up)?;
                 let rows = band::band_rows(self.size, 1);
                 let pieces = pieces(self.size, rows, |pixels| out.split(pixels, channels));
-                band::draw(prepared, (self.size, rows), pieces, |band, fragments, piece| {
+                band::draw_bands(prepared, (self.size, rows), pieces, |band, fragments, piece| {
                     let surfaces = (self.surfaces, views);
                     resolve::resolve(band, surfaces, (normals, channels), fragments, piece);
                 });

@@ -113,13 +113,11 @@ fn ids(
             pairs.for_each(|(out, &id)| *out = if id == 0 { -1 } else { 0 });
         } else {
             pairs.for_each(|(out, &id)| {
-                *out = match id {
-                    0 => -1,
-                    _ => {
-                        let (surface, face) = band.prepared.find(id);
-                        let face = screens[surface].parent(face);
-                        (if of_face { face } else { surface }) as i32
-                    }
+                *out = -1;
+                if id != 0 {
+                    let (surface, face) = band.prepared.find(id);
+                    let face = screens[surface].parent(face);
+                    *out = (if of_face { face } else { surface }) as i32;
                 }
             });
         }

@@ -1,8 +1,9 @@
 //! Faces ready to be drawn: those that can hold the centre of a pixel, as edge functions and an
 //! affine function for the nearness `1/z`.
 //!
-//! The corners of a face are sorted by their image points. So faces over the same three points have
-//! the same numbers, whatever their winding, and the lowest index wins exactly.
+//! The corners of a face begin with the first by its image point and go round one way. So faces over
+//! the same three points have the same numbers, whatever their winding, and the lowest index wins
+//! exactly.
 
 use multiversion::multiversion;
 
@@ -140,6 +141,7 @@ impl Corners {
     };
 
     /// Exchange two corners where `a` comes after `b`.
+    #[expect(clippy::float_cmp, reason = "an order of exact places")]
     #[inline(always)]
     fn sort(&mut self, a: usize, b: usize) {
         for k in 0..LANES {
@@ -176,8 +178,9 @@ impl Corners {
         let (width, height) = (size.width as f64, size.height as f64);
         let shift = if keep == Keep::Centres { 0.5 } else { 0.0 };
         for k in 0..LANES {
-            // Sorted by u.
-            let (low_u, high_u) = (self.u[0][k], self.u[2][k]);
+            // Corner 0 is the first by u.
+            let (low_u, b, c) = (self.u[0][k], self.u[1][k], self.u[2][k]);
+            let high_u = if b > c { b } else { c };
             let (low_v, high_v) = {
                 let [a, b, c] = [self.v[0][k], self.v[1][k], self.v[2][k]];
                 let (low, high) = if a < b { (a, b) } else { (b, a) };
@@ -236,8 +239,7 @@ fn set_up(
             }
         }
         corners.sort(0, 1);
-        corners.sort(1, 2);
-        corners.sort(0, 1);
+        corners.sort(0, 2);
         corners.bound(size, keep);
         corners.orient();
         corners.choose(keep);

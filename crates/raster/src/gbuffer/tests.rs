@@ -57,10 +57,8 @@ fn compare(models: &[Model], views: &[View], near: f64) -> Result<(), TestCaseEr
                 let face = models[f.surface].faces()[f.face];
                 let p = face
                     .map(|v| in_camera(models[f.surface].vertex(v as usize), &views[f.surface]));
-                for axis in 0..3 {
-                    let by = |w: &[f64]| (0..3).map(|c| w[c] * p[c][axis]).sum::<f64>();
-                    prop_assert!((by(b) - by(&f.barycentrics)).abs() < 1e-7);
-                }
+                let by = |w: &[f64], axis: usize| (0..3).map(|c| w[c] * p[c][axis]).sum::<f64>();
+                prop_assert!((0..3).all(|k| (by(b, k) - by(&f.barycentrics, k)).abs() < 1e-7));
             }
         }
     }
@@ -200,7 +198,7 @@ fn sphere() -> Model {
             std::f64::consts::PI * i as f64 / 24.0,
             std::f64::consts::TAU * (j % 48) as f64 / 48.0,
         );
-        if i % 24 == 0 {
+        if i.is_multiple_of(24) {
             return [0.0, 0.0, a.cos().signum()];
         }
         [a.sin() * b.cos(), a.sin() * b.sin(), a.cos()]

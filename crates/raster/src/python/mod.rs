@@ -6,6 +6,7 @@
 mod cli;
 mod error;
 mod evaluate;
+mod gbuffer;
 mod mesh;
 mod metrics;
 mod silhouette;
@@ -18,6 +19,8 @@ mod _native {
     use super::error::MeshError;
     #[pymodule_export]
     use super::evaluate::evaluate;
+    #[pymodule_export]
+    use super::gbuffer::{flow, gbuffer};
     #[pymodule_export]
     use super::mesh::PyMesh;
     #[pymodule_export]

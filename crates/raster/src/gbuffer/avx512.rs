@@ -1,0 +1,109 @@
+//! The inner loop of a band with the masks of AVX-512: about half the time of the plain loop.
+
+use super::setup::Record;
+use std::arch::x86_64::{
+    __m256i, __m512d, _CMP_GE_OQ, _CMP_GT_OQ, _CMP_LT_OQ, _mm_cvtsd_f64, _mm_unpackhi_pd,
+    _mm256_castpd256_pd128, _mm256_extract_epi32, _mm256_extractf128_pd, _mm256_mask_mov_epi32,
+    _mm256_set1_epi32, _mm256_setr_epi32, _mm512_add_pd, _mm512_castpd512_pd256,
+    _mm512_cmp_pd_mask, _mm512_extractf64x4_pd, _mm512_mask_cmp_pd_mask, _mm512_mask_mov_pd,
+    _mm512_max_pd, _mm512_min_pd, _mm512_mul_pd, _mm512_set1_pd, _mm512_setr_pd, _mm512_sub_pd,
+};
+/// One load.
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn load(r: &[f64; 8]) -> __m512d {
+    _mm512_setr_pd(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7])
+}
+/// One store.
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn store(w: __m512d, out: &mut [f64; 8]) {
+    let (low, high) = (_mm512_castpd512_pd256(w), _mm512_extractf64x4_pd::<1>(w));
+    let pairs = [
+        _mm256_castpd256_pd128(low),
+        _mm256_extractf128_pd::<1>(low),
+        _mm256_castpd256_pd128(high),
+        _mm256_extractf128_pd::<1>(high),
+    ];
+    *out = [
+        _mm_cvtsd_f64(pairs[0]),
+        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[0], pairs[0])),
+        _mm_cvtsd_f64(pairs[1]),
+        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[1], pairs[1])),
+        _mm_cvtsd_f64(pairs[2]),
+        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[2], pairs[2])),
+        _mm_cvtsd_f64(pairs[3]),
+        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[3], pairs[3])),
+    ];
+}
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn load_ids(r: &[u32; 8]) -> __m256i {
+    let r = r.map(u32::cast_signed);
+    _mm256_setr_epi32(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7])
+}
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn store_ids(w: __m256i, out: &mut [u32; 8]) {
+    *out = [
+        _mm256_extract_epi32::<0>(w),
+        _mm256_extract_epi32::<1>(w),
+        _mm256_extract_epi32::<2>(w),
+        _mm256_extract_epi32::<3>(w),
+        _mm256_extract_epi32::<4>(w),
+        _mm256_extract_epi32::<5>(w),
+        _mm256_extract_epi32::<6>(w),
+        _mm256_extract_epi32::<7>(w),
+    ]
+    .map(i32::cast_unsigned);
+}
+/// Draw the rows of a record into planes that begin at its first row and column; eight samples a
+/// step, as in the plain loop, and bit for bit the same.
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+pub(super) fn draw(
+    record: &Record,
+    [first, end]: [i32; 2],
+    stride: usize,
+    (nearness, ids): (&mut [f64], &mut [u32]),
+) {
+    let [left, right] = record.columns;
+    let all = |x: f64| _mm512_set1_pd(x);
+    let zero = all(0.0);
+    let (base, d1, d2) =
+        (all(record.nearness[0]), all(record.nearness[1]), all(record.nearness[2]));
+    let (low, high) = (all(record.range[0]), all(record.range[1]));
+    let id = _mm256_set1_epi32(record.id.cast_signed());
+    let lanes = _mm512_setr_pd(0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5);
+    let mut column = left;
+    while column < right {
+        let x = _mm512_add_pd(all(f64::from(column)), lanes);
+        let inside = _mm512_cmp_pd_mask::<_CMP_LT_OQ>(x, all(f64::from(right)));
+        let ua = _mm512_sub_pd(all(record.u[0]), x);
+        let ub = _mm512_sub_pd(all(record.u[1]), x);
+        let uc = _mm512_sub_pd(all(record.u[2]), x);
+        let mut start = (column - left) as usize;
+        for row in first..end {
+            let v = f64::from(row) + 0.5;
+            let (va, vb, vc) = (all(record.v[0] - v), all(record.v[1] - v), all(record.v[2] - v));
+            let e0 = _mm512_sub_pd(_mm512_mul_pd(ub, vc), _mm512_mul_pd(vb, uc));
+            let e1 = _mm512_sub_pd(_mm512_mul_pd(uc, va), _mm512_mul_pd(vc, ua));
+            let e2 = _mm512_sub_pd(_mm512_mul_pd(ua, vb), _mm512_mul_pd(va, ub));
+            let w =
+                _mm512_add_pd(_mm512_add_pd(base, _mm512_mul_pd(e1, d1)), _mm512_mul_pd(e2, d2));
+            let w = _mm512_min_pd(_mm512_max_pd(w, low), high);
+            // Rows have room for the lanes beyond their last column.
+            let Some(out) = nearness[start..].first_chunk_mut::<8>() else { return };
+            let Some(out_ids) = ids[start..].first_chunk_mut::<8>() else { return };
+            let old = load(out);
+            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(inside, e0, zero);
+            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, e1, zero);
+            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, e2, zero);
+            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GT_OQ>(seen, w, old);
+            store(_mm512_mask_mov_pd(old, seen, w), out);
+            store_ids(_mm256_mask_mov_epi32(load_ids(out_ids), seen, id), out_ids);
+            start += stride;
+        }
+        column += 8;
+    }
+}
