@@ -198,8 +198,8 @@ impl<R: Real> Block<R> {
         // The same from the first tile within reach on, cut where the box is far off.
         for axis in 0..2 {
             for l in 0..LANES {
-                low[axis][l] = low[axis][l] - f64::from(self.tiles[2 * axis][l]);
-                high[axis][l] = high[axis][l] - f64::from(self.tiles[2 * axis][l]);
+                low[axis][l] -= f64::from(self.tiles[2 * axis][l]);
+                high[axis][l] -= f64::from(self.tiles[2 * axis][l]);
             }
         }
         let [x0, y0] = low.map(|lanes| lanes.map(R::of));

@@ -107,7 +107,7 @@ fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
 
 /// Sums over pixels, for each edge: weight times `across`, `across * along`, `beyond` with the
 /// sign of the end, `beyond`; `along` ends at the ends of the edge.
-type Sums<R> = [[[R; LANES]; 4]; 3];
+pub(super) type Sums<R> = [[[R; LANES]; 4]; 3];
 
 #[inline(always)]
 fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
@@ -138,14 +138,17 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                     let mut used = tiles.used(column, row, to - column, bottom - row);
                     used &= block.near[lane];
                     any |= used != 0;
+                    // A copy whose address nobody takes stays in registers.
+                    let mut local = sums;
                     while used != 0 {
                         let at = used.trailing_zeros() as usize;
                         let (c, r) = (column + at % 8, row + at / 8);
                         let place = [&tiles.x[c], &tiles.y[r]];
                         let values = &tiles.values[r * tiles.count[0] + c];
-                        back_tile::<R, FMA, SIGMOID>(&face, place, values, &mut sums);
+                        back_tile::<R, FMA, SIGMOID>(&face, place, values, &mut local);
                         used &= used - 1;
                     }
+                    sums = local;
                     column += 8;
                 }
                 row += 8;
@@ -220,19 +223,58 @@ impl<R: Real> BlockSums<R> {
         if !any {
             return;
         }
-        for k in 0..3 {
-            for n in 0..4 {
-                let mut lanes = sums[k][n];
-                let mut half = LANES / 2;
-                while half > 0 {
-                    for l in 0..half {
-                        lanes[l] = lanes[l] + lanes[l + half];
-                    }
-                    half /= 2;
-                }
-                self.sums[k][n][lane] = lanes[0];
-            }
+        for (sum, total) in self.sums.as_flattened_mut().iter_mut().zip(R::totals(sums)) {
+            sum[lane] = total;
         }
+    }
+}
+
+/// Sums over the lanes. A call of its own, for an instruction set of its own.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+pub(super) fn totals_single(sums: &Sums<f32>) -> [f32; 12] {
+    multiversion::target::match_target! {
+        "x86_64+avx512f" => avx512::totals(sums),
+        _ => totals(sums),
+    }
+}
+
+/// Sums over the lanes.
+pub(super) fn totals<R: Real>(sums: &Sums<R>) -> [R; 12] {
+    let mut totals = [R::ZERO; 12];
+    for (total, lanes) in totals.iter_mut().zip(sums.as_flattened()) {
+        let mut four = [R::ZERO; 4];
+        for l in 0..4 {
+            four[l] = (lanes[l] + lanes[l + 8]) + (lanes[l + 4] + lanes[l + 12]);
+        }
+        *total = (four[0] + four[2]) + (four[1] + four[3]);
+    }
+    totals
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx512 {
+    use std::arch::x86_64::{__m512, _mm512_reduce_add_ps, _mm512_setr_ps};
+
+    use super::{LANES, Sums};
+
+    /// One load.
+    #[inline]
+    #[target_feature(enable = "avx512f")]
+    fn load(l: &[f32; LANES]) -> __m512 {
+        _mm512_setr_ps(
+            l[0], l[1], l[2], l[3], l[4], l[5], l[6], l[7], l[8], l[9], l[10], l[11], l[12], l[13],
+            l[14], l[15],
+        )
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx512f")]
+    pub(super) fn totals(sums: &Sums<f32>) -> [f32; 12] {
+        let mut totals = [0.0; 12];
+        for (total, lanes) in totals.iter_mut().zip(sums.as_flattened()) {
+            *total = _mm512_reduce_add_ps(load(lanes));
+        }
+        totals
     }
 }
 

@@ -16,8 +16,10 @@
 //! gradient recomputes: `dS/dp_k` is the product over the others, taken as the whole one divided by
 //! the very factor that went into it, which was kept away from 0.
 //!
-//! In single precision a face whose `p` is below 1e-7 at every pixel of a tile is left out there;
-//! masks are within about 1e-5 of the exact ones, gradients within 1e-4 of their largest entry.
+//! In single precision, faces end where `p` is below 8e-7 (1.4e-6 for gradients) at every pixel of
+//! a tile. Each adds at most that to the error; over a mesh of 5,013 small faces the masks are
+//! within 1.3e-5 of the exact ones and gradients within 5e-5 of their largest entry. Where a width
+//! is below 1/500 of half the image, rounding would count, and double precision is used instead.
 
 #![expect(
     clippy::inline_always,
