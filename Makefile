@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SHELL := /bin/bash
 WHEELS := target/wheels
 
-.PHONY: docs/report.png demo test lint test-rust test-python develop bench fuzz examples wheel clean help
+.PHONY: docs/report.png demo test lint test-rust test-python develop bench fuzz examples pictures wheel clean help
 
 help:  ## List the verbs
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
@@ -75,6 +75,9 @@ examples: $(BIN)/python  ## Generate the example data again
 docs/report.png: demo chromium  ## The README's picture, from the example data
 	$(BIN)/dronepose-eval examples/predictions.csv examples/gt.csv --mesh examples/quadrotor.obj --html out/picture.html --quiet
 	chromium --headless --no-sandbox --disable-gpu --hide-scrollbars --window-size=1280,1545 --screenshot=$@ file://$(CURDIR)/out/picture.html
+
+pictures: develop  ## The pictures of docs/rendering.md
+	$(BIN)/python docs/make_pictures.py
 
 clean:  ## Remove what was built
 	cargo clean

@@ -16,6 +16,7 @@ __all__ = [
     "add",
     "add_passes",
     "adds",
+    "cli_dronepose",
     "cli_run",
     "evaluate",
     "flow",
@@ -91,6 +92,9 @@ class Symmetries:
 
 def cli_run(args: list[str]) -> int:
     """Run ``dronepose-eval``, the program's name first; its exit code."""
+
+def cli_dronepose(args: list[str], further: list[tuple[str, str]]) -> int:
+    """Run ``dronepose``, the program's name first; its exit code."""
 
 def evaluate(
     options: list[str],

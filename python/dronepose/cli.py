@@ -1,11 +1,18 @@
-"""The command ``dronepose-eval``: hands the arguments to Rust and returns its exit code.
+"""The commands ``dronepose`` and ``dronepose-eval``: hand the arguments to Rust.
 
-Imports neither NumPy nor torch, so that the command starts in milliseconds.
+Imports neither NumPy nor torch, so that the commands start in milliseconds.
+
+``dronepose render`` and ``dronepose eval`` are Rust. A module ``dronepose.commands.NAME`` with a
+function ``main(argv) -> int`` is the subcommand ``dronepose NAME``; the first line of its docstring
+is its line of the help. It is imported only when it is called.
 """
 
+import ast
 import signal
 import sys
 from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
 
 from dronepose import _native
 
@@ -30,6 +37,46 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     arguments = sys.argv[1:] if argv is None else argv
     return _native.cli_run(["dronepose-eval", *arguments])
+
+
+def dronepose(argv: Sequence[str] | None = None) -> int:
+    """Run ``dronepose``: ``render``, ``eval``, or a subcommand written in Python.
+
+    Args:
+        argv: The arguments without the program's name; ``sys.argv[1:]`` if absent.
+
+    Returns:
+        0 done, 1 an input was refused, 2 the command line was not understood.
+
+    Example:
+        >>> from dronepose.cli import dronepose
+        >>> dronepose(["eval", "examples/predictions.csv", "examples/gt.csv", "--quiet"])
+        0
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    modules = _modules()
+    if arguments and arguments[0] in modules:
+        module = import_module(f"dronepose.commands.{modules[arguments[0]].stem}")
+        code: int = module.main(arguments[1:])
+        return code
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # Only the help and the message on an unknown subcommand need to know of the others.
+    listed = not arguments or arguments[0] not in ("render", "eval")
+    further = [(name, _summary(path)) for name, path in modules.items()] if listed else []
+    return _native.cli_dronepose(["dronepose", *arguments], further)
+
+
+def _modules() -> dict[str, Path]:
+    """The subcommands written in Python, by name."""
+    folder = Path(__file__).with_name("commands")
+    files = sorted(folder.glob("[a-z]*.py"))
+    return {path.stem.replace("_", "-"): path for path in files}
+
+
+def _summary(path: Path) -> str:
+    """First line of a module's docstring, without importing it."""
+    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return docstring.partition("\n")[0].rstrip(".")
 
 
 if __name__ == "__main__":

@@ -5,11 +5,13 @@
 //! order (`quat_wxyz`, `quat_xyzw`).
 //!
 //! Layers, each of which knows only those before it: `error rotation pose camera mesh`, then
-//! `raster` and `metrics`, then `io`, then `eval`, then `report`, then `cli` and `python`.
+//! `raster` and `metrics`, then `io`, then `eval`, then `report` and `draw`, then `cli` and `python`.
 
 pub mod camera;
 #[cfg(feature = "cli")]
 pub mod cli;
+#[cfg(feature = "cli")]
+pub mod draw;
 pub mod error;
 pub mod eval;
 pub mod gbuffer;

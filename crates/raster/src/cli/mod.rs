@@ -1,7 +1,10 @@
-//! The command `dronepose-eval` as a function: the binary and the Python console script both call it.
+//! The commands as functions: the binaries and the Python console scripts both call them. Here
+//! `dronepose-eval`; [`command`] is `dronepose` with its subcommands.
 
 pub mod args;
+pub mod command;
 mod progress;
+pub mod render;
 
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
@@ -72,6 +75,11 @@ pub fn run(
         }
         Err(help) => return finish(write!(out, "{help}"), err),
     };
+    run_parsed(&args, out, err, terminal)
+}
+
+/// The evaluation once the command line is parsed.
+fn run_parsed(args: &Args, out: &mut dyn Write, err: &mut dyn Write, terminal: Terminal) -> u8 {
     let checked = args.request().and_then(|request| Ok((request, args.to_stdout()?)));
     let (request, to_stdout) = match checked {
         Ok(checked) => checked,
@@ -80,7 +88,7 @@ pub fn run(
             return 2;
         }
     };
-    match evaluate(&args, &request, Given::default(), terminal) {
+    match evaluate(args, &request, Given::default(), terminal) {
         Ok((outcome, printed)) => {
             if !args.quiet {
                 for line in &outcome.evaluation.warnings {
@@ -268,14 +276,19 @@ fn write_outputs(
     Ok(printed.unwrap_or_else(|| report::table(&report, terminal.width, terminal.color)))
 }
 
-/// [`run`] with the streams of this process. An interrupt (Ctrl-C), a hang-up or a request to terminate removes unfinished outputs.
-#[must_use]
-pub fn main_with(args: Vec<OsString>) -> u8 {
+/// An interrupt (Ctrl-C), a hang-up or a request to terminate removes unfinished outputs.
+fn watch_interrupts() {
     // Fails only if a handler is already there; then that one is in charge.
     let _ = ctrlc::set_handler(|| {
-        crate::io::output::remove_unfinished();
+        let _no_more_outputs = crate::io::output::remove_unfinished();
         std::process::exit(130);
     });
+}
+
+/// [`run`] with the streams of this process. An interrupt removes unfinished outputs.
+#[must_use]
+pub fn main_with(args: Vec<OsString>) -> u8 {
+    watch_interrupts();
     run(args, &mut io::stdout(), &mut io::stderr(), Terminal::detect())
 }
 

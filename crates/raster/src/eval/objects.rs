@@ -237,6 +237,12 @@ pub struct Cameras {
 }
 
 impl Cameras {
+    /// One camera for every image.
+    #[must_use]
+    pub fn of(camera: Intrinsics) -> Self {
+        Self { default: Some(camera), ..Self::default() }
+    }
+
     /// From `--camera`: `fx,fy,cx,cy,W,H`, or a JSON file with `fx fy cx cy [width height]` (BOP's
     /// `camera.json`), with `K` or `cam_K`, or BOP's `scene_camera.json`.
     ///

@@ -5,9 +5,13 @@ pub mod bop;
 pub mod input;
 pub mod mesh_file;
 mod mesh_text;
+#[cfg(feature = "cli")]
+pub mod npy;
 pub mod obj;
 pub mod output;
 pub mod ply;
+#[cfg(feature = "cli")]
+pub mod png;
 pub mod pose_csv;
 pub mod poses;
 pub mod records;

@@ -6,7 +6,7 @@
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tempfile::TempPath;
 
@@ -15,13 +15,25 @@ use crate::error::{Error, Result};
 /// Unfinished files of this process, for [`remove_unfinished`].
 static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
+/// Other threads can neither begin nor finish an output while this lives.
+#[derive(Debug)]
+#[must_use = "outputs may begin again once this is dropped"]
+pub struct NoOutputs {
+    _unfinished: MutexGuard<'static, Vec<PathBuf>>,
+}
+
 /// Delete the unfinished outputs of this process: what an interrupt handler calls before it exits.
-pub fn remove_unfinished() {
-    let mut paths = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+pub fn remove_unfinished() -> NoOutputs {
+    let mut paths = unfinished();
     for path in paths.drain(..) {
         // Best effort: the process is about to end.
         let _ = std::fs::remove_file(path);
     }
+    NoOutputs { _unfinished: paths }
+}
+
+fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Outputs that wait to be renamed into place.
@@ -69,6 +81,7 @@ impl Outputs {
             // As for any new file: the process's umask is applied to this.
             builder.permissions(std::fs::Permissions::from_mode(0o666));
         }
+        let mut listed = unfinished();
         let file = builder.tempfile_in(folder).map_err(|e| {
             // Without the name of the file beside the target, which nobody asked for.
             let text = e.to_string();
@@ -76,7 +89,8 @@ impl Outputs {
             fail(io::Error::new(e.kind(), text))
         })?;
         let (file, path) = file.into_parts();
-        UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner).push(path.to_path_buf());
+        listed.push(path.to_path_buf());
+        drop(listed);
         let mut writer = BufWriter::with_capacity(1 << 18, file);
         content(&mut writer).and_then(|()| writer.flush()).map_err(fail)?;
         self.staged.push((path, target.clone()));
@@ -90,8 +104,9 @@ impl Outputs {
     pub fn commit(self) -> Result<()> {
         for (path, target) in self.staged {
             let staged = path.to_path_buf();
+            let mut listed = unfinished();
             path.persist(&target).map_err(|e| Error::Write { path: target, source: e.error })?;
-            UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner).retain(|p| *p != staged);
+            listed.retain(|p| *p != staged);
         }
         Ok(())
     }

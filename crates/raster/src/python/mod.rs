@@ -14,7 +14,7 @@ mod silhouette;
 #[pyo3::pymodule(gil_used = false)]
 mod _native {
     #[pymodule_export]
-    use super::cli::cli_run;
+    use super::cli::{cli_dronepose, cli_run};
     #[pymodule_export]
     use super::error::MeshError;
     #[pymodule_export]

@@ -1,0 +1,1 @@
+"""Subcommands of ``dronepose`` written in Python, a module each; see :mod:`dronepose.cli`."""
