@@ -40,9 +40,21 @@ impl RowOrder {
         self.start[0] = 0;
     }
 
-    /// Add the edges that start in a row, counted from the first.
+    /// Places of the edges that start in a row, counted from the first.
+    #[inline(always)]
+    pub(super) fn starting(&self, row: usize) -> std::ops::Range<usize> {
+        self.start[row] as usize..self.start[row + 1] as usize
+    }
+
+    /// The edge at a place.
+    #[inline(always)]
+    pub(super) fn edge(&self, place: usize) -> u32 {
+        self.order[place]
+    }
+
+    /// Add the edges that start in a row to the active ones.
     pub(super) fn enter(&mut self, row: usize) {
-        let starting = self.start[row] as usize..self.start[row + 1] as usize;
+        let starting = self.starting(row);
         self.active.extend_from_slice(&self.order[starting]);
     }
 }

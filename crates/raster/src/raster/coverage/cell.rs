@@ -222,10 +222,16 @@ pub(super) struct Half {
     pub(super) layers: i32,
 }
 
-/// Halve the longer side.
-pub(super) fn split(rectangle: Rectangle, pieces: &[Piece], layers: i32) -> [Half; 2] {
+/// Halve the longer side; the vectors are used again.
+pub(super) fn split(
+    rectangle: Rectangle,
+    pieces: &[Piece],
+    layers: i32,
+    [mut first, mut second]: [Vec<Piece>; 2],
+) -> [Half; 2] {
+    first.clear();
+    second.clear();
     let Rectangle { left, right, top, bottom } = rectangle;
-    let (mut first, mut second) = (Vec::new(), Vec::new());
     let mut beyond = layers;
     let (one, two);
     if bottom - top >= right - left {

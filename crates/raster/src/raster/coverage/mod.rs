@@ -180,8 +180,7 @@ impl<T: Pixel> Visitor for Painter<'_, T> {
     }
 }
 
-/// Adds up the gradient: steep edges by a sweep down, flat ones by a sweep to the right, each along
-/// the axis on which its ends are far apart.
+/// Adds up the gradient: by a sweep down, and for (nearly) level edges by one to the right.
 struct Collector<'a, T> {
     /// The gradient for areas.
     weights: &'a [T],

@@ -51,10 +51,24 @@ struct Entered {
     taken: [i32; 4],
 }
 
+impl Entered {
+    #[inline(always)]
+    fn add(&mut self, down: i32, taken: [i32; 4]) {
+        self.count += 1;
+        self.down += down;
+        for (sum, taken) in self.taken.iter_mut().zip(taken) {
+            *sum += taken;
+        }
+    }
+}
+
 /// Buffers of a walk.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     order: RowOrder,
+    live: Vec<Live>,
+    /// One bit for each column in which something happens in this row.
+    touched: Vec<u64>,
     parts: Vec<Part>,
     /// For each column: change of layers at its upper left corner.
     change: Vec<i32>,
@@ -67,6 +81,14 @@ pub(super) struct Rows {
 
 const NOWHERE: u32 = u32::MAX;
 
+/// An edge in the current row.
+#[derive(Debug, Clone, Copy)]
+struct Live {
+    edge: u32,
+    /// Where it comes through the upper side of the row.
+    x: f64,
+}
+
 impl Rows {
     /// Visit the pixels of the extent.
     pub(super) fn walk(&mut self, edges: &[NetEdge], extent: Extent, visitor: &mut impl Visitor) {
@@ -78,116 +100,150 @@ impl Rows {
         self.change.resize(columns + 1, 0);
         self.entered.clear();
         self.entered.resize(columns, Entered::default());
+        self.touched.clear();
+        self.touched.resize(columns.div_ceil(64), 0);
         self.place.clear();
         self.place.resize(columns, NOWHERE);
+        self.live.clear();
         for row in first..last {
             visitor.row(row);
-            self.order.enter(row - first);
-            self.cut_row(edges, row, c0 as i32, c1 as i32);
+            self.cut_row(edges, row, first, (c0 as i32, c1 as i32));
             self.visit_row(row, c0, columns, visitor);
         }
     }
 
-    /// The parts of the active edges in a row; edges that end there are dropped.
-    fn cut_row(&mut self, edges: &[NetEdge], row: usize, c0: i32, c1: i32) {
-        let (top, bottom) = (row as f64, (row + 1) as f64);
+    /// The parts of the edges in a row; edges that end there are dropped.
+    fn cut_row(&mut self, edges: &[NetEdge], row: usize, first: usize, columns: (i32, i32)) {
+        let top = row as f64;
         self.parts.clear();
         let mut kept = 0;
-        for k in 0..self.order.active.len() {
-            let id = self.order.active[k];
-            let e = &edges[id as usize];
-            let from_above = e.y0 < top;
-            let goes_on = e.y1 >= bottom;
-            if goes_on {
-                self.order.active[kept] = id;
+        for k in 0..self.live.len() {
+            let Live { edge, x } = self.live[k];
+            if let Some(x) = self.cut(edges, edge, (x, 0.0), true, top, columns) {
+                self.live[kept] = Live { edge, x };
                 kept += 1;
             }
-            let (x0, y0) = if from_above { (e.x_at(top), 0.0) } else { (e.x0, e.y0 - top) };
-            let (x1, y1) = if goes_on { (e.x_at(bottom), 1.0) } else { (e.x1, e.y1 - top) };
-            let column = |x: f64| {
-                // One column beyond the canvas stands for all.
-                if x < f64::from(c0) {
-                    c0 - 1
-                } else if x >= f64::from(c1) {
-                    c1
-                } else {
-                    x as i32
-                }
-            };
-            let (a, b) = (column(x0), column(x1));
-            if from_above && a < c1 {
-                self.change[(a + 1 - c0) as usize] += e.step;
-            }
-            let (low, high) = if a < b { (a, b) } else { (b, a) };
-            if high < c0 || low >= c1 {
-                continue;
-            }
-            let (p, n) = (e.step.max(0), (-e.step).max(0));
-            for c in low.max(c0)..=high.min(c1 - 1) {
-                let entered = &mut self.entered[(c - c0) as usize];
-                entered.count += 1;
-                // From the left and to the right, or the other way.
-                let (first, last) = (c == a, c == b);
-                let (taken, down) = if a <= b {
-                    let taken = [if first { n } else { p }, p, n, if last { p } else { n }];
-                    (taken, if first { 0 } else { -e.step })
-                } else {
-                    let taken = [n, if first { p } else { n }, if last { n } else { p }, p];
-                    (taken, if last { 0 } else { e.step })
-                };
-                entered.down += down;
-                for (sum, taken) in entered.taken.iter_mut().zip(taken) {
-                    *sum += taken;
-                }
-            }
-            self.parts.push(Part {
-                x0,
-                y0,
-                x1,
-                y1,
-                edge: id,
-                step: e.step,
-                c0: a,
-                c1: b,
-                top: from_above,
-            });
         }
-        self.order.active.truncate(kept);
+        self.live.truncate(kept);
+        for k in self.order.starting(row - first) {
+            let edge = self.order.edge(k);
+            let e = &edges[edge as usize];
+            let above = e.y0 < top; // of the first row
+            let start = if above { (e.x_at(top), 0.0) } else { (e.x0, e.y0 - top) };
+            if let Some(x) = self.cut(edges, edge, start, above, top, columns) {
+                self.live.push(Live { edge, x });
+            }
+        }
+    }
+
+    /// The part of an edge in a row, from its start in it. Where it goes on to the next one.
+    #[inline(always)]
+    fn cut(
+        &mut self,
+        edges: &[NetEdge],
+        edge: u32,
+        (x0, y0): (f64, f64),
+        from_above: bool,
+        top: f64,
+        (c0, c1): (i32, i32),
+    ) -> Option<f64> {
+        let e = &edges[edge as usize];
+        let bottom = top + 1.0;
+        let goes_on = e.y1 >= bottom;
+        let (x1, y1) = if goes_on { (e.x_at(bottom), 1.0) } else { (e.x1, e.y1 - top) };
+        let next = goes_on.then_some(x1);
+        let column = |x: f64| {
+            // One column beyond the canvas stands for all.
+            if x < f64::from(c0) {
+                c0 - 1
+            } else if x >= f64::from(c1) {
+                c1
+            } else {
+                x as i32
+            }
+        };
+        let (a, b) = (column(x0), column(x1));
+        if from_above && a < c1 {
+            let at = (a + 1 - c0) as usize;
+            self.change[at] += e.step;
+            if a + 1 < c1 {
+                self.touched[at / 64] |= 1 << (at % 64);
+            }
+        }
+        let (low, high) = if a < b { (a, b) } else { (b, a) };
+        if high < c0 || low >= c1 {
+            return next;
+        }
+        let (p, n) = (e.step.max(0), (-e.step).max(0));
+        if low == high {
+            let at = (low - c0) as usize;
+            self.touched[at / 64] |= 1 << (at % 64);
+            self.entered[at].add(0, [n, p, n, p]);
+        } else {
+            for c in low.max(c0)..=high.min(c1 - 1) {
+                let at = (c - c0) as usize;
+                self.touched[at / 64] |= 1 << (at % 64);
+                let (first, last) = (c == a, c == b);
+                let (down, taken) = if a < b {
+                    // To the right: in through the left side but for the first, and out through
+                    // the right side but for the last.
+                    let down = if first { 0 } else { -e.step };
+                    (down, [if first { n } else { p }, p, n, if last { p } else { n }])
+                } else {
+                    let down = if last { 0 } else { e.step };
+                    (down, [n, if first { p } else { n }, if last { n } else { p }, p])
+                };
+                self.entered[at].add(down, taken);
+            }
+        }
+        let step = e.step;
+        self.parts.push(Part { x0, y0, x1, y1, edge, step, c0: a, c1: b, top: from_above });
+        next
     }
 
     fn visit_row(&mut self, row: usize, c0: usize, columns: usize, visitor: &mut impl Visitor) {
         let (mut layers, mut begin, mut covered) = (0, 0, false);
         let mut total = 0;
         self.todo.clear();
-        for c in 0..columns {
-            layers += std::mem::take(&mut self.change[c]);
-            let Entered { count, down, taken } = std::mem::take(&mut self.entered[c]);
-            if count > 0 {
-                let right = layers + self.change[c + 1];
-                // Lower right: the same as below the next pixel's corner.
-                let below = right + self.entered.get(c + 1).map_or(0, |next| next.down);
-                let most = (layers - taken[0])
-                    .max(right - taken[1])
-                    .max(layers + down - taken[2])
-                    .max(if c + 1 < columns { below - taken[3] } else { 0 });
-                if most <= 0 {
+        for word in 0..self.touched.len() {
+            let mut bits = std::mem::take(&mut self.touched[word]);
+            while bits != 0 {
+                let c = 64 * word + bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                layers += std::mem::take(&mut self.change[c]);
+                let Entered { count, down, taken } = std::mem::take(&mut self.entered[c]);
+                let behind = layers > 0;
+                let mut now = behind;
+                if count > 0 {
+                    let right = layers + self.change[c + 1];
+                    // At the lower right corner: as below the next pixel's upper left one.
+                    let below = right + self.entered.get(c + 1).map_or(0, |next| next.down);
+                    let least = (layers - taken[0])
+                        .max(right - taken[1])
+                        .max(layers + down - taken[2])
+                        .max(if c + 1 < columns { below - taken[3] } else { 0 });
+                    if least <= 0 {
+                        if begin < c {
+                            visitor.plain(row, c0 + begin, c0 + c, covered);
+                        }
+                        (begin, covered) = (c + 1, behind);
+                        self.place[c] = total;
+                        self.todo.push((c as u32, total, count, layers));
+                        total += count;
+                        continue;
+                    }
+                    now = true;
+                }
+                if now != covered {
                     if begin < c {
                         visitor.plain(row, c0 + begin, c0 + c, covered);
                     }
-                    begin = c + 1;
-                    self.place[c] = total;
-                    self.todo.push((c as u32, total, count, layers));
-                    total += count;
-                    continue;
+                    (begin, covered) = (c, now);
                 }
-            }
-            let now = count > 0 || layers > 0;
-            if now != covered {
-                if begin < c {
-                    visitor.plain(row, c0 + begin, c0 + c, covered);
-                    begin = c;
+                if behind != now {
+                    visitor.plain(row, c0 + begin, c0 + c + 1, covered);
+                    (begin, covered) = (c + 1, behind);
                 }
-                covered = now;
             }
         }
         if begin < columns {

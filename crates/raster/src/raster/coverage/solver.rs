@@ -25,6 +25,8 @@ pub(super) struct Solver {
     six: Queue<6, 12>,
     eight: Queue<8, 16>,
     plain: Plain,
+    /// Buffers for halves.
+    spare: Vec<Vec<Piece>>,
 }
 
 /// Rectangles with at most `K` pieces.
@@ -105,8 +107,10 @@ impl Solver {
             }
             return;
         }
-        for Half { rectangle, pieces, layers } in split(rectangle, pieces, layers) {
+        let spare = std::array::from_fn(|_| self.spare.pop().unwrap_or_default());
+        for Half { rectangle, pieces, layers } in split(rectangle, pieces, layers, spare) {
             self.add::<OUTLINE>(rectangle, &pieces, layers, tag, sink);
+            self.spare.push(pieces);
         }
     }
 }
