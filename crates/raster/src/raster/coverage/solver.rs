@@ -23,7 +23,6 @@ pub(super) struct Solver {
     three: Queue<3, 6>,
     four: Queue<4, 8>,
     six: Queue<6, 12>,
-    eight: Queue<8, 16>,
     plain: Plain,
     /// Buffers for halves.
     spare: Vec<Vec<Piece>>,
@@ -72,9 +71,6 @@ impl Solver {
             ..=6 => {
                 put::<6, 12, OUTLINE>(&mut self.six, plain, rectangle, pieces, layers, tag, sink)
             }
-            ..=8 => {
-                put::<8, 16, OUTLINE>(&mut self.eight, plain, rectangle, pieces, layers, tag, sink);
-            }
             _ => self.halve::<OUTLINE>(rectangle, pieces, layers, tag, sink),
         }
     }
@@ -85,7 +81,6 @@ impl Solver {
         end::<3, 6, OUTLINE>(&mut self.three, &mut self.plain, sink);
         end::<4, 8, OUTLINE>(&mut self.four, &mut self.plain, sink);
         end::<6, 12, OUTLINE>(&mut self.six, &mut self.plain, sink);
-        end::<8, 16, OUTLINE>(&mut self.eight, &mut self.plain, sink);
     }
 
     #[inline(never)]
@@ -221,17 +216,22 @@ impl Plain {
     /// The heights at which pieces cross inside the rectangle, in order, and its lower side.
     fn cross(&mut self, rectangle: Rectangle, pieces: &[Piece]) {
         self.heights.clear();
-        let x = |p: &Piece, y: f64| p.x0 + (y - p.y0) * ((p.x1 - p.x0) / (p.y1 - p.y0));
         for (i, a) in pieces.iter().enumerate() {
+            let (left, right) = if a.x0 < a.x1 { (a.x0, a.x1) } else { (a.x1, a.x0) };
+            let a_slope = (a.x1 - a.x0) / (a.y1 - a.y0);
             for b in &pieces[i + 1..] {
                 let (high, low) = (a.y0.max(b.y0), a.y1.min(b.y1));
-                if high < low {
-                    let (at_top, at_bottom) = (x(a, high) - x(b, high), x(a, low) - x(b, low));
-                    if at_top * at_bottom < 0.0 {
-                        let y = high + (low - high) * (at_top / (at_top - at_bottom));
-                        if rectangle.top < y && y < rectangle.bottom {
-                            self.heights.push(y);
-                        }
+                let beside = (b.x0 < left && b.x1 < left) || (b.x0 > right && b.x1 > right);
+                if high >= low || beside {
+                    continue;
+                }
+                let b_slope = (b.x1 - b.x0) / (b.y1 - b.y0);
+                let apart = |y: f64| (a.x0 + (y - a.y0) * a_slope) - (b.x0 + (y - b.y0) * b_slope);
+                let (at_top, at_bottom) = (apart(high), apart(low));
+                if at_top * at_bottom < 0.0 {
+                    let y = high + (low - high) * (at_top / (at_top - at_bottom));
+                    if rectangle.top < y && y < rectangle.bottom {
+                        self.heights.push(y);
                     }
                 }
             }
