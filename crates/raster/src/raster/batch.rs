@@ -52,6 +52,15 @@ thread_local! {
     static SCRATCH: std::cell::RefCell<Scratch> = std::cell::RefCell::default();
 }
 
+/// Lend this thread's buffers. They are taken out meanwhile: a thread that waits for a part of one
+/// image may be given another.
+fn lend<O>(work: impl FnOnce(&mut Scratch) -> O) -> O {
+    let mut scratch = SCRATCH.take();
+    let out = work(&mut scratch);
+    SCRATCH.set(scratch);
+    out
+}
+
 impl Batch<'_> {
     /// Refuses what cannot be drawn, by name.
     ///
@@ -99,7 +108,7 @@ impl Batch<'_> {
         let near = self.near.unwrap_or(DEFAULT_NEAR);
         out.par_chunks_exact_mut(self.size.pixels()).zip(self.views).enumerate().try_for_each(
             |(image, (out, view))| {
-                SCRATCH.with_borrow_mut(|scratch| {
+                lend(|scratch| {
                     let model = self.model(image);
                     scratch.screen.project(model, view, near)?;
                     self.mode.draw(model, &scratch.screen, self.size, out);
@@ -121,7 +130,7 @@ impl Batch<'_> {
         assert_eq!(upstream.len(), self.views.len() * self.size.pixels(), "upstream: (B, H, W)");
         let near = self.near.unwrap_or(DEFAULT_NEAR);
         let one = |image: usize, vertices: Option<&mut [f64]>| -> Result<ViewGradient> {
-            SCRATCH.with_borrow_mut(|scratch| {
+            lend(|scratch| {
                 let (model, view) = (self.model(image), &self.views[image]);
                 let Scratch { screen, du, dv } = scratch;
                 screen.project(model, view, near)?;

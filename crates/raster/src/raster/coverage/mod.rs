@@ -16,6 +16,9 @@ mod rows;
 mod solver;
 
 use std::cell::RefCell;
+use std::thread::LocalKey;
+
+use rayon::prelude::*;
 
 use self::cell::{Piece, Rectangle, single, transposed};
 use self::rows::{Rows, Visitor};
@@ -24,10 +27,9 @@ use super::blur::{self, Kernel};
 use super::outline::{Extent, NetEdge, Outline};
 use super::{Model, Pixel, Screen, Size};
 
-/// Buffers of one thread.
+/// Buffers for a band of rows.
 #[derive(Debug, Default)]
-struct Scratch {
-    outline: Outline,
+struct Worker {
     rows: Rows,
     down: Solver,
     right: Solver,
@@ -36,15 +38,40 @@ struct Scratch {
 }
 
 thread_local! {
-    static SCRATCH: RefCell<Scratch> = RefCell::default();
+    static OUTLINE: RefCell<Outline> = RefCell::default();
+    static WORKER: RefCell<Worker> = RefCell::default();
+}
+
+/// Lend a buffer of this thread. It is taken out meanwhile: a thread that waits for bands may be
+/// given another image to draw.
+fn lend<B: Default, O>(kept: &'static LocalKey<RefCell<B>>, work: impl FnOnce(&mut B) -> O) -> O {
+    let mut buffer = kept.take();
+    let out = work(&mut buffer);
+    kept.set(buffer);
+    out
 }
 
 const UNIT: Rectangle = Rectangle { left: 0.0, right: 1.0, top: 0.0, bottom: 1.0 };
 
+/// An extent of more pixels than this is shared out in bands.
+const LARGE: usize = 1 << 18;
+
+/// Rows of a band.
+const BAND: usize = 64;
+
+/// The parts of an extent that are worked on side by side: the same for any number of threads.
+fn bands(extent: Extent) -> Vec<Extent> {
+    let ((first, last), (left, right)) = (extent.rows, extent.columns);
+    let rows = if (last - first) * (right - left) > LARGE { BAND } else { last - first };
+    (first..last)
+        .step_by(rows)
+        .map(|row| Extent { rows: (row, (row + rows).min(last)), ..extent })
+        .collect()
+}
+
 /// Draw the mask; every pixel of `out` is written. `sigma` in pixels.
 pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, sigma: f64, out: &mut [T]) {
-    SCRATCH.with_borrow_mut(|scratch| {
-        let Scratch { outline, rows, down: solver, .. } = scratch;
+    lend(&OUTLINE, |outline| {
         let kernel = Kernel::new(sigma);
         let (height, width) = kernel.padded(size);
         outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
@@ -56,23 +83,36 @@ pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, sigma: f64, ou
             let (first, last) = extent.rows;
             out[..first * width].fill(T::default());
             out[last * width..].fill(T::default());
-            let canvas = Canvas { out, stride: width, extent, whole: true };
-            let mut painter = Painter { canvas, solver };
-            rows.walk(&outline.edges, extent, &mut painter);
-            painter.solver.finish::<false>(&mut painter.canvas);
+            areas(outline, extent, &mut out[first * width..last * width], width, 0);
             return;
         }
         blur::with_canvas(|canvas: &mut Vec<T>| {
             let (n, m) = (extent.rows.1 - extent.rows.0, extent.columns.1 - extent.columns.0);
             canvas.clear();
             canvas.resize(n * m, T::default());
-            let part = Canvas { out: canvas, stride: m, extent, whole: false };
-            let mut painter = Painter { canvas: part, solver };
-            rows.walk(&outline.edges, extent, &mut painter);
-            painter.solver.finish::<false>(&mut painter.canvas);
+            areas(outline, extent, canvas, m, extent.columns.0);
             kernel.forward(canvas, extent.rows, extent.columns, size, out);
         });
     });
+}
+
+/// The areas of the rows of an extent, from column `first` on, `stride` pixels a row.
+fn areas<T: Pixel>(outline: &Outline, extent: Extent, out: &mut [T], stride: usize, first: usize) {
+    let one = |band: Extent, out: &mut [T]| {
+        lend(&WORKER, |worker| {
+            let canvas = Canvas { out, stride, origin: (band.rows.0, first), extent: band };
+            let mut painter = Painter { canvas, solver: &mut worker.down };
+            worker.rows.walk(&outline.edges, band, &mut painter);
+            painter.solver.finish::<false>(&mut painter.canvas);
+        });
+    };
+    let bands = bands(extent);
+    if let [band] = bands[..] {
+        one(band, out);
+    } else {
+        let rows = bands[0].rows.1 - bands[0].rows.0;
+        out.par_chunks_mut(rows * stride).zip(bands).for_each(|(out, band)| one(band, out));
+    }
 }
 
 /// Add the gradient of `sum(upstream * mask)` for image points to `du` and `dv`.
@@ -85,34 +125,67 @@ pub fn back<T: Pixel>(
     du: &mut [f64],
     dv: &mut [f64],
 ) {
-    SCRATCH.with_borrow_mut(|scratch| {
-        let Scratch { outline, rows, down, right, turned, sites } = scratch;
+    lend(&OUTLINE, |outline| {
         let kernel = Kernel::new(sigma);
         let (height, width) = kernel.padded(size);
         outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
         let Some(extent) = outline.extent(height, width) else { return };
-        let mut collect = |weights: &[T], stride: usize, origin: (usize, usize)| {
-            let edges = &outline.edges[..];
-            sites.clear();
-            let forces = Forces { edges, sites, du, dv };
-            let mut collector = Collector { weights, stride, origin, down, right, turned, forces };
-            rows.walk(edges, extent, &mut collector);
-            let Collector { down, right, mut forces, .. } = collector;
-            down.finish::<true>(&mut Down(&mut forces));
-            right.finish::<true>(&mut Right(&mut forces));
-        };
         if kernel.radius() == 0 {
-            collect(upstream, width, (0, 0));
+            forces(outline, extent, upstream, width, (0, 0), du, dv);
         } else {
             blur::with_canvas(|canvas: &mut Vec<T>| {
                 kernel.adjoint(upstream, size, extent.rows, extent.columns, canvas);
                 let stride = extent.columns.1 - extent.columns.0;
-                collect(canvas, stride, (extent.rows.0, extent.columns.0));
+                let origin = (extent.rows.0, extent.columns.0);
+                forces(outline, extent, canvas, stride, origin, du, dv);
             });
         }
         outline.share(model, du);
         outline.share(model, dv);
     });
+}
+
+/// The gradient for image points from the one for areas, whose first pixel is `origin`.
+fn forces<T: Pixel>(
+    outline: &Outline,
+    extent: Extent,
+    weights: &[T],
+    stride: usize,
+    origin: (usize, usize),
+    du: &mut [f64],
+    dv: &mut [f64],
+) {
+    let edges = &outline.edges[..];
+    let one = |band: Extent, du: &mut [f64], dv: &mut [f64]| {
+        lend(&WORKER, |worker| {
+            let Worker { rows, down, right, turned, sites } = worker;
+            sites.clear();
+            let forces = Forces { edges, sites, du, dv };
+            let mut collector = Collector { weights, stride, origin, down, right, turned, forces };
+            rows.walk(edges, band, &mut collector);
+            let Collector { down, right, mut forces, .. } = collector;
+            down.finish::<true>(&mut Down(&mut forces));
+            right.finish::<true>(&mut Right(&mut forces));
+        });
+    };
+    let bands = bands(extent);
+    if let [band] = bands[..] {
+        one(band, du, dv);
+        return;
+    }
+    let parts: Vec<_> = bands
+        .into_par_iter()
+        .map(|band| {
+            let (mut du, mut dv) = (vec![0.0; du.len()], vec![0.0; dv.len()]);
+            one(band, &mut du, &mut dv);
+            (du, dv)
+        })
+        .collect();
+    for (part_u, part_v) in parts {
+        for (sum, part) in du.iter_mut().zip(part_u).chain(dv.iter_mut().zip(part_v)) {
+            *sum += part;
+        }
+    }
 }
 
 /// Writes areas.
@@ -125,19 +198,15 @@ struct Painter<'a, T> {
 struct Canvas<'a, T> {
     out: &'a mut [T],
     stride: usize,
+    /// Row and column of the first pixel.
+    origin: (usize, usize),
     extent: Extent,
-    /// Whether `out` is the whole canvas, or the extent only.
-    whole: bool,
 }
 
 impl<T: Pixel> Canvas<'_, T> {
     #[inline(always)]
     fn at(&self, row: usize, column: usize) -> usize {
-        if self.whole {
-            row * self.stride + column
-        } else {
-            (row - self.extent.rows.0) * self.stride + column - self.extent.columns.0
-        }
+        (row - self.origin.0) * self.stride + column - self.origin.1
     }
 }
 
@@ -153,13 +222,12 @@ impl<T: Pixel> Sink for Canvas<'_, T> {
 
 impl<T: Pixel> Visitor for Painter<'_, T> {
     fn row(&mut self, row: usize) {
-        let Canvas { out, stride, extent, whole } = &mut self.canvas;
-        if *whole {
-            let (c0, c1) = extent.columns;
-            let row = &mut out[row * *stride..(row + 1) * *stride];
-            row[..c0].fill(T::default());
-            row[c1..].fill(T::default());
-        }
+        // What lies beside the extent.
+        let at = self.canvas.at(row, self.canvas.origin.1);
+        let (left, right) = self.canvas.extent.columns;
+        let line = &mut self.canvas.out[at..at + self.canvas.stride];
+        line[..left - self.canvas.origin.1].fill(T::default());
+        line[right - self.canvas.origin.1..].fill(T::default());
     }
 
     fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {

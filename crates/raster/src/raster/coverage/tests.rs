@@ -221,3 +221,32 @@ fn an_upright_square_feels_its_level_edges() {
     assert_close(&du, &[-1.0, 1.0, 1.0, -1.0], 1e-12);
     assert_close(&dv, &[-1.5, -1.5, 1.5, 1.5], 1e-12);
 }
+
+#[test]
+fn bands_and_threads_change_no_bit() {
+    let mut seed = 5;
+    let points: Vec<[f64; 2]> =
+        (0..60).map(|_| [random(&mut seed) * 700.0 - 50.0, random(&mut seed) * 600.0]).collect();
+    let faces: Vec<[u32; 3]> = (0..20).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+    let size = Size { height: 560, width: 640 };
+    let (model, screen) = flat(&points, &faces);
+    let upstream: Vec<f64> = (0..size.pixels()).map(|_| random(&mut seed) - 0.5).collect();
+    let of = |threads: usize| {
+        crate::threads::install(threads, || {
+            let mut out = vec![f64::NAN; size.pixels()];
+            draw(&model, &screen, size, 0.0, &mut out);
+            let (mut du, mut dv) = (vec![0.0; 60], vec![0.0; 60]);
+            back(&model, &screen, size, 0.0, &upstream, &mut du, &mut dv);
+            (out, du, dv)
+        })
+        .expect("started")
+    };
+    let one = of(1);
+    assert_eq!(one, of(2));
+    assert_eq!(one, of(7));
+    // The same in one piece: a smaller image has a single band.
+    let top = Size { height: 300, width: 640 };
+    let mut out = vec![f64::NAN; top.pixels()];
+    draw(&model, &screen, top, 0.0, &mut out);
+    assert_close(&out, &one.0[..top.pixels()], 1e-12);
+}

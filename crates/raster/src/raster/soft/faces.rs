@@ -3,6 +3,10 @@
 use super::real::{LANES, Real};
 use super::tiles::{SIDE, Units};
 
+/// Twice the area over the squares of two sides, up to which a face has no area: rounding leaves
+/// collinear corners about 1e-16.
+const FLAT: f64 = 1e-12;
+
 /// Faces whose corners are further out than so many times the image are cut to its surroundings.
 const FAR: f64 = 1.5;
 
@@ -52,7 +56,7 @@ pub(super) struct Block<R> {
     pub(super) near: [u64; LANES],
     /// Whether the second and the third corner are exchanged.
     pub(super) turned: [bool; LANES],
-    /// Without area.
+    /// Without area, up to rounding.
     pub(super) flat: [bool; LANES],
     /// Further out than [`FAR`].
     far: [bool; LANES],
@@ -142,7 +146,9 @@ impl<R: Real> Block<R> {
             let (bx, cx) = if turned { (qx, px) } else { (px, qx) };
             let (by, cy) = if turned { (qy, py) } else { (py, qy) };
             self.turned[l] = turned;
-            self.flat[l] = area == 0.0;
+            let (ux, uy, vx, vy) = (px - ax, py - ay, qx - ax, qy - ay);
+            let squares = ux * ux + uy * uy + vx * vx + vy * vy;
+            self.flat[l] = area.abs() <= FLAT * squares;
             corners[0][l] = ax;
             corners[1][l] = ay;
             corners[2][l] = bx;

@@ -144,6 +144,9 @@ fn triangle(p: [f64; 2], t: [[f64; 2]; 3]) -> (f64, bool, f64) {
     let squared = (0..3).map(|k| segment(p, t[k], t[(k + 1) % 3])).fold(f64::INFINITY, f64::min);
     let sides: Vec<f64> = (0..3).map(|k| cross(t[k], t[(k + 1) % 3], p)).collect();
     let area = cross(t[0], t[1], t[2]);
+    let square = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
+    let flat = area.abs() <= 1e-12 * (square(t[0], t[1]) + square(t[0], t[2]));
+    let area = if flat { 0.0 } else { area };
     let inside = sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0);
     (squared, inside && area != 0.0, area)
 }
