@@ -1,6 +1,7 @@
 """The package as a whole: what it imports, its names, its stub, its version."""
 
 import ast
+import os
 import signal
 import subprocess
 import sys
@@ -102,6 +103,18 @@ def test_ctrl_c_is_left_to_the_system():
     )
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
     assert signal.getsignal(signal.SIGINT) is not signal.SIG_DFL
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="cannot fork")
+def test_a_child_of_a_process_that_ran_the_command_can_be_terminated():
+    code = (
+        "import os, signal, time\nfrom dronepose.cli import main\nmain(['--version'])\n"
+        "child = os.fork()\n"
+        "if child == 0:\n    signal.alarm(60)\n    while True:\n        time.sleep(1)\n"
+        "time.sleep(0.2)\nos.kill(child, signal.SIGTERM)\n"
+        "assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGTERM"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
 
 
 def test_the_results_are_flushed_when_python_ends(tmp_path):

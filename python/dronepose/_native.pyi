@@ -10,7 +10,6 @@ __all__ = [
     "Mesh",
     "MeshError",
     "Model",
-    "Surface",
     "Symmetries",
     "__version__",
     "add",
@@ -224,14 +223,8 @@ def silhouette_gradients(
 
 _Camera = tuple[float, float, float, float, float, int, int]
 
-@final
-class Surface:
-    """A mesh prepared for drawing."""
-
-    def __new__(cls, mesh: Mesh) -> Surface: ...
-
 def gbuffer(
-    surfaces: list[Surface],
+    meshes: list[Mesh],
     camera: _Camera,
     R: NDArray[float64],
     t: NDArray[float64],
@@ -247,7 +240,7 @@ def gbuffer(
     """The planes named in ``channels``, ``(B, H, W, ...)``, by name."""
 
 def flow(
-    surfaces: list[Surface],
+    meshes: list[Mesh],
     cameras: tuple[_Camera, _Camera],
     R0: NDArray[float64],
     t0: NDArray[float64],

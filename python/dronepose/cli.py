@@ -8,9 +8,11 @@ is its line of the help. It is imported only when it is called.
 """
 
 import ast
+import os
 import signal
 import sys
 from collections.abc import Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -20,8 +22,9 @@ from dronepose import _native
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``dronepose-eval``.
 
-    Python's handler for Ctrl-C only runs between bytecodes, and the evaluation is one native call;
-    the default action (end the process) is put back.
+    Python's handler for Ctrl-C only runs between bytecodes, and the evaluation is one native call:
+    from here on Ctrl-C, a hang-up and a request to terminate end the process, without unfinished
+    files.
 
     Args:
         argv: The arguments without the program's name; ``sys.argv[1:]`` if absent.
@@ -34,7 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         >>> main(["examples/predictions.csv", "examples/gt.csv", "--quiet"])
         0
     """
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _leave_signals_to_rust()
     arguments = sys.argv[1:] if argv is None else argv
     return _native.cli_run(["dronepose-eval", *arguments])
 
@@ -59,11 +62,34 @@ def dronepose(argv: Sequence[str] | None = None) -> int:
         module = import_module(f"dronepose.commands.{modules[arguments[0]].stem}")
         code: int = module.main(arguments[1:])
         return code
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _leave_signals_to_rust()
     # Only the help and the message on an unknown subcommand need to know of the others.
     listed = not arguments or arguments[0] not in ("render", "eval")
     further = [(name, _summary(path)) for name, path in modules.items()] if listed else []
     return _native.cli_dronepose(["dronepose", *arguments], further)
+
+
+def _leave_signals_to_rust() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _give_signals_back_to_children()
+
+
+@cache  # once
+def _give_signals_back_to_children() -> None:
+    """A forked child inherits the handlers but not the thread that acts on them.
+
+    Without this it could not be terminated: a ``multiprocessing.Pool`` would wait for it forever.
+    """
+
+    def give_back() -> None:
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            handler = None if number is None else signal.getsignal(number)
+            if number is not None and handler is not None:
+                signal.signal(number, handler)
+
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=give_back)
 
 
 def _modules() -> dict[str, Path]:

@@ -152,9 +152,8 @@ mod tests {
             let points: Vec<[f64; 2]> = (0..8)
                 .map(|_| [next(48) as f64 / 4.0 - 1.5, next(40) as f64 / 4.0 - 1.5])
                 .collect();
-            let faces: Vec<[u32; 3]> = (0..1 + round % 5)
-                .map(|_| [next(8) as u32, next(8) as u32, next(8) as u32])
-                .collect();
+            let faces: Vec<[u32; 3]> =
+                (0..=round % 5).map(|_| [next(8) as u32, next(8) as u32, next(8) as u32]).collect();
             let vertices: Vec<[f64; 3]> = points.iter().map(|p| [p[0], p[1], 0.0]).collect();
             let model = Model::new(&vertices, &faces).expect("valid");
             let view = View {

@@ -13,6 +13,15 @@
 //! row `i`, column `j` is `(j + 0.5, i + 0.5)`. Everything is computed in `f64`, whatever the type
 //! of the mask, except where a mode's module says so.
 
+#![expect(
+    clippy::inline_always,
+    clippy::needless_range_loop,
+    reason = "plain loops over lanes and axes, compiled once for each instruction set: what is not \
+              inlined there is compiled for none of them"
+)]
+#![expect(clippy::float_cmp, reason = "an end of an edge is the same point or another one")]
+#![expect(clippy::cast_possible_wrap, reason = "columns of an image, far below 2^31")]
+
 mod batch;
 mod blur;
 pub mod coverage;
@@ -188,7 +197,7 @@ impl Mode {
             Self::Hard => hard::draw(model, screen, size, out),
             Self::Dibr { delta, cutoff } => dibr::draw(model, screen, size, delta, cutoff, out),
             Self::Sigmoid { sigma, cutoff } => {
-                sigmoid::draw(model, screen, size, sigma, cutoff, out)
+                sigmoid::draw(model, screen, size, sigma, cutoff, out);
             }
         }
     }
@@ -205,11 +214,11 @@ impl Mode {
     ) {
         match *self {
             Self::Coverage { sigma } => {
-                coverage::back(model, screen, size, sigma, upstream, du, dv)
+                coverage::back(model, screen, size, sigma, upstream, du, dv);
             }
             Self::Hard => {} // piecewise constant
             Self::Dibr { delta, cutoff } => {
-                dibr::back(model, screen, size, delta, cutoff, upstream, du, dv)
+                dibr::back(model, screen, size, delta, cutoff, upstream, du, dv);
             }
             Self::Sigmoid { sigma, cutoff } => {
                 sigmoid::back(model, screen, size, sigma, cutoff, upstream, du, dv);

@@ -176,6 +176,7 @@ impl<const K: usize, const M: usize, const OUTLINE: bool> WithSimd for Slabs<'_,
 
 impl<const K: usize, const M: usize, const OUTLINE: bool> Slabs<'_, K, M, OUTLINE> {
     /// As many lanes as the machine has in a register.
+    #[expect(clippy::too_many_lines, reason = "one slab after the other, all in registers")]
     #[inline(always)]
     fn group<S: Simd>(&mut self, simd: S, group: usize) {
         let s = simd;

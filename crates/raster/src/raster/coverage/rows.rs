@@ -268,6 +268,7 @@ impl Rows {
     }
 
     /// The pieces of a part in the columns to solve.
+    #[expect(clippy::manual_clamp, reason = "two comparisons, without the assertion of clamp")]
     #[inline(always)]
     fn cut_columns(&mut self, part: &Part, c0: i32, c1: i32) {
         let Part { x0, y0, x1, y1, edge, step, c0: a, c1: b, top } = *part;

@@ -63,13 +63,13 @@ impl Solver {
                     sink.area(tag, rectangle.area());
                 }
             }
-            ..=2 => {
-                put::<2, 4, OUTLINE>(&mut self.two, plain, rectangle, pieces, layers, tag, sink)
+            1..=2 => {
+                put::<2, 4, OUTLINE>(&mut self.two, plain, rectangle, pieces, layers, tag, sink);
             }
             3 => put::<3, 6, OUTLINE>(&mut self.three, plain, rectangle, pieces, layers, tag, sink),
             4 => put::<4, 8, OUTLINE>(&mut self.four, plain, rectangle, pieces, layers, tag, sink),
-            ..=6 => {
-                put::<6, 12, OUTLINE>(&mut self.six, plain, rectangle, pieces, layers, tag, sink)
+            5..=6 => {
+                put::<6, 12, OUTLINE>(&mut self.six, plain, rectangle, pieces, layers, tag, sink);
             }
             _ => self.halve::<OUTLINE>(rectangle, pieces, layers, tag, sink),
         }

@@ -180,7 +180,7 @@ fn the_gradient_is_the_central_difference() {
         let points: Vec<[f64; 2]> = (0..n)
             .map(|_| [random(&mut seed) * 11.0 - 1.5, random(&mut seed) * 9.0 - 1.5])
             .collect();
-        let faces: Vec<[u32; 3]> = (0..1 + round / 3)
+        let faces: Vec<[u32; 3]> = (0..=round / 3)
             .map(|_| std::array::from_fn(|_| (random(&mut seed) * n as f64) as u32))
             .collect();
         let upstream: Vec<f64> = (0..48).map(|_| random(&mut seed) - 0.5).collect();
