@@ -59,8 +59,12 @@ pub(super) struct Outline {
     pub(super) edges: Vec<NetEdge>,
     /// Whether an edge was left out because it lies to the right of the canvas.
     pub(super) beyond: bool,
-    /// +1, -1 or 0 for each face, and a 0 after the last.
-    signs: Vec<i8>,
+    /// Image points, moved.
+    points: Vec<[f64; 2]>,
+    /// See [`orient`].
+    sides: Vec<i8>,
+    /// Net edges by number, and their layers.
+    chosen: Vec<(u32, i32)>,
     /// Of the faces cut at the near plane, if any were.
     clipped: Option<Topology>,
 }
@@ -83,23 +87,15 @@ impl Outline {
             Topology::new(&keys, screen.faces(model))
         });
         let topology = self.clipped.as_ref().unwrap_or(model.topology());
-        let (u, v) = (&screen.u[..], &screen.v[..]);
-        self.signs.clear();
-        self.signs.resize(topology.faces.len() + 1, 0);
-        orient(u, v, &topology.faces, &mut self.signs);
+        self.points.clear();
+        self.points.extend(screen.u.iter().zip(&screen.v).map(|(&u, &v)| [u + shift, v + shift]));
+        orient(&self.points, &topology.faces, &mut self.sides);
+        select(topology, &self.sides, &mut self.chosen);
         self.edges.clear();
         self.beyond = false;
-        let mut more = topology.more.iter().peekable();
-        for (id, edge) in topology.edges.iter().enumerate() {
-            let mut net = self.side(edge.faces[0]) + self.side(edge.faces[1]);
-            while let Some((_, code)) = more.next_if(|m| m.0 as usize == id) {
-                net += self.side(*code);
-            }
-            if net == 0 {
-                continue;
-            }
-            let (a, b) = (edge.a as usize, edge.b as usize);
-            let (xa, ya, xb, yb) = (u[a] + shift, v[a] + shift, u[b] + shift, v[b] + shift);
+        for &(id, net) in &self.chosen {
+            let edge = &topology.edges[id as usize];
+            let ([xa, ya], [xb, yb]) = (self.points[edge.a as usize], self.points[edge.b as usize]);
             let down = ya < yb || (ya == yb && xa < xb);
             let (x0, y0, x1, y1, from, to, step) = if down {
                 (xa, ya, xb, yb, edge.a, edge.b, -net)
@@ -140,13 +136,6 @@ impl Outline {
         })
     }
 
-    /// Layers that a face adds on the inner side of the edge from `a` to `b`.
-    #[inline(always)]
-    fn side(&self, code: u32) -> i32 {
-        let sign = i32::from(self.signs[(code >> 1) as usize]);
-        if code & 1 == 0 { sign } else { -sign }
-    }
-
     /// Vertices at one position move together: share what the first of them has got among all
     /// that a face names. With a cut at the near plane the positions are those in the image.
     pub(super) fn share(&self, model: &Model, gradient: &mut [f64]) {
@@ -161,11 +150,43 @@ impl Outline {
     }
 }
 
-/// Which way round each projected triangle runs: +1, -1, or 0 without area.
-fn orient(u: &[f64], v: &[f64], faces: &[[u32; 3]], signs: &mut [i8]) {
-    for (face, sign) in faces.iter().zip(signs) {
-        let [a, b, c] = face.map(|k| k as usize);
-        let area = (u[b] - u[a]) * (v[c] - v[a]) - (v[b] - v[a]) * (u[c] - u[a]);
-        *sign = i8::from(area > 0.0) - i8::from(area < 0.0);
+/// Layers that a face adds on the inner side of an edge, for each coded face of [`Edge`]: as it runs
+/// on the screen, and reversed; +1, -1, or 0 without area. Zeros follow for a missing face.
+///
+/// [`Edge`]: super::Edge
+fn orient(points: &[[f64; 2]], faces: &[[u32; 3]], sides: &mut Vec<i8>) {
+    sides.clear();
+    sides.extend(faces.iter().flat_map(|face| {
+        let [a, b, c] = face.map(|k| points[k as usize]);
+        let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        let sign = i8::from(area > 0.0) - i8::from(area < 0.0);
+        [sign, -sign]
+    }));
+    sides.extend([0, 0]);
+}
+
+/// Edges whose faces do not cancel, with the layers on their inner side.
+fn select(topology: &Topology, sides: &[i8], chosen: &mut Vec<(u32, i32)>) {
+    let sum = |codes: &[u32]| codes.iter().map(|&c| i32::from(sides[c as usize])).sum::<i32>();
+    chosen.clear();
+    chosen.resize(topology.edges.len() + 1, (0, 0));
+    let mut count = 0;
+    if topology.more.is_empty() {
+        for (id, edge) in topology.edges.iter().enumerate() {
+            let net = sum(&edge.faces);
+            chosen[count] = (id as u32, net);
+            count += usize::from(net != 0);
+        }
+    } else {
+        let mut more = topology.more.iter().peekable();
+        for (id, edge) in topology.edges.iter().enumerate() {
+            let mut net = sum(&edge.faces);
+            while let Some(&(_, code)) = more.next_if(|m| m.0 as usize == id) {
+                net += i32::from(sides[code as usize]);
+            }
+            chosen[count] = (id as u32, net);
+            count += usize::from(net != 0);
+        }
     }
+    chosen.truncate(count);
 }
