@@ -5,8 +5,8 @@
 The truth is a hard mask of 320 x 240 pixels. A start is 10 degrees and 5 % of the distance off, in
 random directions; every mode and loss begins with the same starts. Adam turns the drone about its
 own origin (a tangent vector, radians) and shifts it (in units of the distance at the start), with
-one schedule for all: a step of 0.01 that falls to 0.0001 along a cosine. The starts of one distance
-are one batch; their losses are summed, so each descends by itself.
+one schedule for all: the step falls from --rate to a hundredth of it along a cosine. The starts of
+one distance are one batch; their losses are summed, so each descends by itself.
 
 Modes: coverage with sigma 0 and 1 px; dibr over all faces and with Kaolin's cut-offs (delta 7000);
 sigmoid over all faces (sigma 1e-4). Losses, for a truth a and a mask b:
@@ -88,6 +88,7 @@ class Tanimoto:
             self.blurs.append((rows, columns.T.contiguous()))
             height, width, pixel, before = len(rows), len(columns), pixel * stride, sigma**2
         self.truth = self.scales(truth)
+        self.squares = [inner(a, a) for a in self.truth]
 
     def scales(self, masks: Tensor) -> list[Tensor]:
         found = [masks]
@@ -99,9 +100,9 @@ class Tanimoto:
 
     def __call__(self, masks: Tensor) -> Tensor:
         total = torch.zeros(len(masks))
-        for a, b in zip(self.truth, self.scales(masks), strict=True):
+        for a, square, b in zip(self.truth, self.squares, self.scales(masks), strict=True):
             both = inner(a, b)
-            total = total + 1 - (both + 1e-7) / (inner(a, a) + inner(b, b) - both + 1e-7)
+            total = total + 1 - (both + 1e-7) / (square + inner(b, b) - both + 1e-7)
         return total / len(self.truth)
 
 
@@ -168,13 +169,14 @@ def descend(
     draw: Callable[[Tensor, Tensor], Tensor],
     loss: Callable[[Tensor], Tensor],
     steps: int,
+    rate: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The last poses."""
     R0 = torch.from_numpy(problem.R0.astype(np.float32))
     t0 = torch.from_numpy(problem.t0.astype(np.float32))
     turn = torch.zeros(len(R0), 3, requires_grad=True)
     shift = torch.zeros(len(R0), 3, requires_grad=True)
-    adam = torch.optim.Adam([turn, shift], lr=0.01)
+    adam = torch.optim.Adam([turn, shift], lr=rate)
     zero = torch.zeros(len(R0))
 
     def pose() -> tuple[Tensor, Tensor]:
@@ -183,9 +185,8 @@ def descend(
         return torch.linalg.matrix_exp(cross) @ R0, t0 + shift * problem.distance
 
     for step in range(steps):
-        adam.param_groups[0]["lr"] = 1e-4 + (0.01 - 1e-4) * 0.5 * (
-            1 + math.cos(math.pi * step / max(steps - 1, 1))
-        )
+        falling = 0.5 + 0.5 * math.cos(math.pi * step / max(steps - 1, 1))
+        adam.param_groups[0]["lr"] = rate * (0.01 + 0.99 * falling)
         adam.zero_grad()
         loss(draw(*pose())).sum().backward()
         adam.step()
@@ -244,7 +245,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mesh", type=Path, default=default_mesh(), help="metres")
     parser.add_argument("--starts", type=int, default=200, help="over all distances")
-    parser.add_argument("--steps", type=int, default=120)
+    parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--rate", type=float, default=0.02, help="step of Adam at the start")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=0, help="0 for all cores")
     parser.add_argument("--modes", nargs="*", choices=list(MODES), default=list(MODES))
@@ -253,7 +255,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.threads:
         torch.set_num_threads(options.threads)
-    torch.manual_seed(options.seed)
+    torch.set_flush_denormal(True)  # the tails of the Gaussians
     mesh = Mesh.from_file(options.mesh)
     vertices = torch.from_numpy(mesh.vertices.astype(np.float32))
     faces = torch.from_numpy(mesh.faces.astype(np.int64))
@@ -285,6 +287,7 @@ def main() -> None:
                     lambda R, t, m=mode: drawn(R, t, **MODES[m]),
                     LOSSES[loss](truth),
                     options.steps,
+                    options.rate,
                 )
                 found.append(errors(problem, R, t))
             merged = {k: np.concatenate([f[k] for f in found]) for k in found[0]}
@@ -294,6 +297,7 @@ def main() -> None:
                 f"{mode} with {loss}: {taken:.0f} s, {time.perf_counter() - begun:.0f} s in all",
                 file=sys.stderr,
             )
+            print(tables(results[-1:]).splitlines()[2], file=sys.stderr, flush=True)
     versions = {
         "dronepose": dronepose.__version__,
         "torch": torch.__version__,
