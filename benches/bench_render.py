@@ -480,14 +480,14 @@ KINDS = (("hard", False), ("coverage", False), ("coverage", True), ("dibr", Fals
 
 
 def growth(title: str, scenes: list[tuple[str, Scene]], seconds: float) -> list[dict[str, Any]]:
-    """Least milliseconds an image of some modes, one thread."""
+    """Least milliseconds an image of some modes, one thread, of the processor."""
     heads = [name + (" + gradient" if backward else "") for name, backward in KINDS]
-    print(f"\n{title}, one thread, least ms an image\n")
+    print(f"\n{title}, one thread, processor ms an image, least of three or more\n")
     print("| | " + " | ".join(heads) + " |\n|--:|" + "--:|" * len(heads))
     found = []
     for label, scene in scenes:
         ms = [
-            clock(work_of(scene, name, backward, 1), len(scene.R), seconds)[0]
+            clock(work_of(scene, name, backward, 1), len(scene.R), seconds, warm=False)[2]
             for name, backward in KINDS
         ]
         print(f"| {label} | " + " | ".join(f"{x:.3f}" for x in ms) + " |", flush=True)
@@ -496,13 +496,13 @@ def growth(title: str, scenes: list[tuple[str, Scene]], seconds: float) -> list[
 
 
 def status(name: str) -> float:
-    """MB of this process (Linux)."""
+    """MiB of this process (Linux)."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith(name)) / 1024
 
 
 def peak(task: tuple[str, str | int, int, int, int, bool]) -> tuple[float, float]:
-    """MB that the process grew by at its peak, and MB of the images; in a fresh process."""
+    """MiB that the process grew by at its peak, and of the images; in a fresh process."""
     mode, source, height, width, count, backward = task
     mesh = noisy_sphere(source) if isinstance(source, int) else load(Path(source))
     R, t = poses(count)
@@ -515,7 +515,7 @@ def peak(task: tuple[str, str | int, int, int, int, bool]) -> tuple[float, float
         render.silhouette(*work, **MODES[mode], threads=1)
     else:
         render.silhouette_gradients(*work, upstream, **MODES[mode], vertices=False, threads=1)
-    return status("VmHWM") - before, count * height * width * 4 / 1e6
+    return status("VmHWM") - before, count * height * width * 4 / 2**20
 
 
 def memory(path: Path, quick: bool) -> list[dict[str, Any]]:
@@ -535,9 +535,9 @@ def memory(path: Path, quick: bool) -> list[dict[str, Any]]:
             name = mode + (" gradient" if backward else "")
             mesh = f"{source} faces" if isinstance(source, int) else Path(source).name
             size = f"{count} x {width} x {height}"
-            of = "none kept" if backward else f"{images:.0f} MB"
-            print(f"| {name} | {mesh} | {size} | {grown:.0f} MB | {of} |", flush=True)
-            found.append({"mode": name, "mesh": mesh, "images": size, "growth_mb": grown})
+            of = "none kept" if backward else f"{images:.0f} MiB"
+            print(f"| {name} | {mesh} | {size} | {grown:.0f} MiB | {of} |", flush=True)
+            found.append({"mode": name, "mesh": mesh, "images": size, "growth_mib": grown})
     return found
 
 
