@@ -57,9 +57,10 @@ develop: $(BIN)/python  ## Editable install for work on the sources
 	$(PIP) "maturin>=1.9.4,<2"
 	source $(BIN)/activate && maturin develop --release --extras dev
 
-bench: develop  ## Benchmarks in Rust, and against NumPy and SciPy
+bench: develop  ## Benchmarks in Rust, and against what else is installed
 	cargo bench
 	$(BIN)/python benches/bench_metrics.py
+	$(BIN)/python benches/bench_render.py
 
 fuzz:  ## Every parser for a minute (needs the nightly toolchain and cargo-fuzz)
 	command -v cargo-fuzz >/dev/null || cargo install cargo-fuzz
