@@ -16,13 +16,17 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade pip
 
-demo: $(BIN)/python  ## Install, then score the example predictions and write out/report.html
+demo: $(BIN)/python  ## Install, then score and draw the example: out/report.html, out/drawn/
 	@echo "building the extension: about two minutes"
 	$(BIN)/python -m pip install --disable-pip-version-check .
 	@mkdir -p out
 	$(BIN)/dronepose-eval examples/predictions.csv examples/gt.csv --mesh examples/quadrotor.obj \
 	    --compare examples/predictions_baseline.csv --by distance --html out/report.html
-	@echo "wrote out/report.html"
+	$(BIN)/dronepose render examples/quadrotor.obj examples/gt.csv --camera 252.7,252.7,160,120,320,240 \
+	    --out out/drawn --limit 24 --save silhouette --contact-sheet --force
+	$(BIN)/dronepose render examples/quadrotor.obj examples/gt.csv --camera 252.7,252.7,160,120,320,240 \
+	    --out out/compared --limit 1 --save silhouette --compare --sigma 1 --force
+	@echo "wrote out/report.html, out/drawn/contact_sheet.png and out/compared/compare/"
 
 wheel: $(BIN)/python  ## Build the wheel and install it with the development tools
 	$(PIP) "maturin>=1.9.4,<2"

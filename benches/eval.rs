@@ -12,6 +12,8 @@
 //! ADD-S too below some 190,000 rows, and confidence intervals up to 50,000.
 #![expect(clippy::print_stdout, reason = "the numbers are what a benchmark is for")]
 
+mod noise;
+
 use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::hint::black_box;
@@ -23,6 +25,8 @@ use dronepose_raster::cli::{self, Terminal};
 use dronepose_raster::io::{PoseOptions, read_poses};
 use dronepose_raster::threads;
 use glam::{DQuat, DVec3};
+
+use self::noise::Noise;
 
 type Error = Box<dyn std::error::Error>;
 
@@ -138,21 +142,6 @@ fn peak_kb() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     line.and_then(|rest| rest.trim().strip_suffix(" kB")?.parse().ok()).unwrap_or(0)
-}
-
-/// Numbers in -1..1, always the same.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f64 {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn vector(&mut self) -> DVec3 {
-        DVec3::new(self.next(), self.next(), self.next())
-    }
 }
 
 fn write_poses(gt: &Path, predictions: &Path, rows: u32) -> io::Result<()> {

@@ -4,6 +4,8 @@
 //! `shared` beside the repository), else a made-up drone of the same size. Each result is compared
 //! once with plain loops.
 
+mod noise;
+
 use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -20,20 +22,7 @@ use dronepose_raster::metrics::symmetry::Symmetries;
 use dronepose_raster::metrics::vertices::VertexSet;
 use glam::{DQuat, DVec3};
 
-/// Numbers in -1..1, always the same.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f64 {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
-
-    fn vector(&mut self) -> DVec3 {
-        DVec3::new(self.next(), self.next(), self.next())
-    }
-}
+use self::noise::Noise;
 
 fn model() -> Vec<DVec3> {
     let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared");

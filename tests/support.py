@@ -13,18 +13,19 @@ EXAMPLES = ROOT / "examples"
 SHARED = Path(os.environ.get("DRONEPOSE_SHARED", ROOT.parent / "shared"))
 
 
-def command() -> list[str]:
-    """``dronepose-eval`` of this Python, as a script if it is installed."""
-    script = Path(sys.executable).with_name("dronepose-eval")
-    return [str(script)] if script.exists() else [sys.executable, "-m", "dronepose.cli"]
+def command(name: str = "dronepose-eval") -> list[str]:
+    """``dronepose-eval`` or ``dronepose`` of this Python, as a script if it is installed."""
+    script = Path(sys.executable).with_name(name)
+    module = {"dronepose-eval": "dronepose.cli", "dronepose": "dronepose"}[name]
+    return [str(script)] if script.exists() else [sys.executable, "-m", module]
 
 
 def run(
-    *args: object, cwd: Path | None = None, timeout: float = 300
+    *args: object, cwd: Path | None = None, timeout: float = 300, name: str = "dronepose-eval"
 ) -> subprocess.CompletedProcess[str]:
-    """Run ``dronepose-eval``; the caller looks at the exit code."""
+    """Run ``dronepose-eval`` or ``dronepose``; the caller looks at the exit code."""
     return subprocess.run(
-        [*command(), *map(str, args)],
+        [*command(name), *map(str, args)],
         cwd=cwd,
         capture_output=True,
         text=True,

@@ -6,12 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 
-from support import EXAMPLES, ROOT
+from support import EXAMPLES, ROOT, command, run
 
 cv2 = pytest.importorskip("cv2")
 
@@ -20,22 +20,7 @@ CAMERA = "126.35,126.35,80,60,160,120"
 HEAVY = {"numpy", "torch", "scipy", "trimesh", "cv2"}
 
 
-def command():
-    script = Path(sys.executable).with_name("dronepose")
-    return [str(script)] if script.exists() else [sys.executable, "-m", "dronepose"]
-
-
-def dronepose(*args, cwd=None):
-    return subprocess.run(
-        [*command(), *map(str, args)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        stdin=subprocess.DEVNULL,
-        timeout=300,
-        check=False,
-    )
+dronepose = partial(run, name="dronepose")
 
 
 def render(out, *args):
@@ -260,7 +245,9 @@ def test_an_interrupt_leaves_whole_files_and_the_next_run_goes_on(tmp_path):
         400,
     ]
     started = subprocess.Popen(
-        [*command(), *map(str, arguments)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        [*command("dronepose"), *map(str, arguments)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
     )
     while started.poll() is None and not any((out / "preview").glob("*.png")):
         time.sleep(0.01)

@@ -1,4 +1,4 @@
-"""6D pose metrics for drones, computed in Rust.
+"""Silhouettes with gradients and 6D pose metrics for drones, computed in Rust.
 
 One convention everywhere: OpenCV camera (x right, y down, z forward), metres, radians; a pose is
 ``cam_from_model``, ``p_cam = R @ p_model + t``; quaternion arguments name their order.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -31,18 +31,7 @@ Channel = Literal[
     "coverage_each",
 ]
 
-_CHANNELS = (
-    "mask",
-    "depth",
-    "face",
-    "object",
-    "barycentrics",
-    "normal",
-    "attributes",
-    "uv",
-    "coverage",
-    "coverage_each",
-)
+_CHANNELS: tuple[str, ...] = get_args(Channel)
 _NORMALS = {"flat": "flat", "smooth": "area", "smooth-angle": "angle"}
 _LARGEST_SIDE = 16_384
 

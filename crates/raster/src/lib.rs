@@ -1,11 +1,15 @@
-//! Mesh geometry and 6D pose metrics for drones, in parallel and exact.
+//! Rendering with gradients, mesh geometry and 6D pose metrics for drones, in parallel.
 //!
 //! One convention everywhere: OpenCV camera (x right, y down, z forward), metres, radians, seconds;
 //! a pose is `cam_from_model`; a quaternion is a unit `glam::DQuat`, and arguments name their
 //! order (`quat_wxyz`, `quat_xyzw`).
 //!
-//! Layers, each of which knows only those before it: `error rotation pose camera mesh`, then
-//! `raster` and `metrics`, then `io`, then `eval`, then `report` and `draw`, then `cli` and `python`.
+//! Silhouettes and their gradients are in [`raster`], depth, normals and optical flow in [`gbuffer`],
+//! pose errors in [`metrics`].
+//!
+//! Layers, each of which knows only those before it: `error rotation pose camera threads mesh`, then
+//! `raster`, then `gbuffer`, then `metrics`, then `io`, then `eval`, then `report` and `draw`, then
+//! `cli`, then `python`.
 
 pub mod camera;
 #[cfg(feature = "cli")]

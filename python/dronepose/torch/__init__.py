@@ -1,8 +1,9 @@
 """Differentiable silhouettes as a torch operator; the arithmetic is in Rust, on the CPU.
 
 What each ``mode`` draws, frames and units are those of :mod:`dronepose.render`. Everything is
-computed in float64; the dtype of the arguments is that of masks and gradients. Each function says
-what it takes; needs ``pip install "dronepose[torch]"``.
+computed in float64, but for modes ``"dibr"`` and ``"sigmoid"`` of float32 arguments; the dtype of
+the arguments is that of masks and gradients. Each function says what it takes; needs
+``pip install "dronepose[torch]"``.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@
 //!
 //! The stages of an image:
 //!
-//! 1. `setup`: every surface as a [`Screen`]; faces that can hold a pixel centre become edge
-//!    functions and an affine function for `1/z`.
+//! 1. `setup`: every surface as a [`Screen`](crate::raster::Screen); faces that can hold a pixel
+//!    centre become edge functions and an affine function for `1/z`.
 //! 2. `band`: bands of rows, in parallel, each with a z-buffer in `f64`.
 //! 3. `resolve`: the planes that were asked for, from the ids; what needs barycentrics goes through
 //!    [`Fragment`]s. [`flow`] and [`coverage`] resolve the same bands in their own way.

@@ -17,7 +17,7 @@ const LARGEST_FILE: u64 = 1 << 30;
 /// Coordinates are those of the file, in its unit; see [`Mesh::scaled`].
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Malformed`] with the line, vertex or face, and what was expected.
+/// [`crate::Error::Read`], [`crate::Error::Malformed`] with the line, vertex or face, and what was expected.
 pub fn read_mesh(path: &Path) -> Result<Mesh> {
     read_mesh_file(path).map(|(mesh, _)| mesh)
 }

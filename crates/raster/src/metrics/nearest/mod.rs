@@ -1,8 +1,8 @@
 //! Which vertex of a fixed set is nearest to a point: built once per mesh, asked millions of times.
 //!
 //! Around the vertices lies a grid whose cells list every vertex that is nearest to *some* point
-//! of the cell ([`grid`]), then a coarser and larger one, and for what neither answers a tree of
-//! bounding boxes ([`tree`]). All three give the same vertex as comparing with every vertex, to
+//! of the cell (`grid`), then a coarser and larger one, and for what neither answers a tree of
+//! bounding boxes (`tree`). All three give the same vertex as comparing with every vertex, to
 //! the last bit of the squared distance.
 
 pub(crate) mod grid;
