@@ -7,8 +7,8 @@
 //! stretch of outline of length `l` moves outwards by `d`, its pixel gains the area `l d`.
 //! Crossings of edges need no derivative of their own (they move along the outline).
 //!
-//! The area inside a pixel is exact up to rounding in `f64`, for every input: see [`rows`] and
-//! [`cell`].
+//! The area inside a pixel is exact up to rounding in `f64`, for every input: see `rows` and
+//! `cell`.
 
 mod cell;
 mod lanes;
