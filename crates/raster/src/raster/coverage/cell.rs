@@ -76,29 +76,15 @@ struct Active {
 }
 
 impl Cell {
-    /// Area of the points of the rectangle with at least one layer. `layers` is their number just
-    /// outside the upper left corner. With `outline`, which stretches of which edges bound them.
+    /// Area of the points of the rectangle with at least one layer; which stretches of which edges
+    /// bound them is added to `outline`. `layers` is their number just outside the upper left
+    /// corner.
     pub(super) fn solve(
-        &mut self,
-        rectangle: Rectangle,
-        pieces: &[Piece],
-        layers: i32,
-        outline: &mut Option<&mut Vec<Stretch>>,
-    ) -> f64 {
-        let Rectangle { left, right, top, bottom } = rectangle;
-        let whole = (right - left) * (bottom - top);
-        if pieces.is_empty() || layers > pieces.iter().map(|p| p.step.abs()).sum() {
-            return if layers > 0 { whole } else { 0.0 };
-        }
-        self.slabs(rectangle, pieces, layers, outline)
-    }
-
-    fn slabs(
         &mut self,
         Rectangle { left, right, top, bottom }: Rectangle,
         pieces: &[Piece],
         layers: i32,
-        outline: &mut Option<&mut Vec<Stretch>>,
+        outline: &mut Vec<Stretch>,
     ) -> f64 {
         self.heights.clear();
         self.heights.push(top);
@@ -204,12 +190,10 @@ impl Cell {
     }
 
     #[inline(always)]
-    fn emit(&self, pieces: &[Piece], from: f64, to: f64, outline: &mut Option<&mut Vec<Stretch>>) {
-        if let Some(outline) = outline {
-            for &(piece, ahead, _) in &self.visible {
-                let edge = pieces[piece as usize].edge;
-                outline.push(Stretch { edge, from, to, ahead });
-            }
+    fn emit(&self, pieces: &[Piece], from: f64, to: f64, outline: &mut Vec<Stretch>) {
+        for &(piece, ahead, _) in &self.visible {
+            let edge = pieces[piece as usize].edge;
+            outline.push(Stretch { edge, from, to, ahead });
         }
     }
 }

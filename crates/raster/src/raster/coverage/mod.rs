@@ -59,14 +59,18 @@ const LARGE: usize = 1 << 18;
 /// Rows of a band.
 const BAND: usize = 64;
 
-/// The parts of an extent that are worked on side by side: the same for any number of threads.
-fn bands(extent: Extent) -> Vec<Extent> {
-    let ((first, last), (left, right)) = (extent.rows, extent.columns);
-    let rows = if (last - first) * (right - left) > LARGE { BAND } else { last - first };
-    (first..last)
-        .step_by(rows)
-        .map(|row| Extent { rows: (row, (row + rows).min(last)), ..extent })
-        .collect()
+/// Rows of the parts of an extent that are worked on side by side: the same for any number of
+/// threads.
+fn rows_of_band(extent: Extent) -> usize {
+    let rows = extent.rows.1 - extent.rows.0;
+    let large = rows * (extent.columns.1 - extent.columns.0) > LARGE;
+    if large { BAND } else { rows }
+}
+
+/// The part of an extent with the number `k`.
+fn band(extent: Extent, rows: usize, k: usize) -> Extent {
+    let first = extent.rows.0 + k * rows;
+    Extent { rows: (first, (first + rows).min(extent.rows.1)), ..extent }
 }
 
 /// Draw the mask; every pixel of `out` is written. `sigma` in pixels.
@@ -106,12 +110,12 @@ fn areas<T: Pixel>(outline: &Outline, extent: Extent, out: &mut [T], stride: usi
             painter.solver.finish::<false>(&mut painter.canvas);
         });
     };
-    let bands = bands(extent);
-    if let [band] = bands[..] {
-        one(band, out);
+    let rows = rows_of_band(extent);
+    if rows == extent.rows.1 - extent.rows.0 {
+        one(extent, out);
     } else {
-        let rows = bands[0].rows.1 - bands[0].rows.0;
-        out.par_chunks_mut(rows * stride).zip(bands).for_each(|(out, band)| one(band, out));
+        let parts = out.par_chunks_mut(rows * stride).enumerate();
+        parts.for_each(|(k, out)| one(band(extent, rows, k), out));
     }
 }
 
@@ -168,16 +172,17 @@ fn forces<T: Pixel>(
             right.finish::<true>(&mut Right(&mut forces));
         });
     };
-    let bands = bands(extent);
-    if let [band] = bands[..] {
-        one(band, du, dv);
+    let rows = rows_of_band(extent);
+    let height = extent.rows.1 - extent.rows.0;
+    if rows == height {
+        one(extent, du, dv);
         return;
     }
-    let parts: Vec<_> = bands
+    let parts: Vec<_> = (0..height.div_ceil(rows))
         .into_par_iter()
-        .map(|band| {
+        .map(|k| {
             let (mut du, mut dv) = (vec![0.0; du.len()], vec![0.0; dv.len()]);
-            one(band, &mut du, &mut dv);
+            one(band(extent, rows, k), &mut du, &mut dv);
             (du, dv)
         })
         .collect();

@@ -1,5 +1,5 @@
-//! Hands rectangles to the lanes by their number of pieces, splits those with many, and has the few
-//! in which pieces cross solved one by one.
+//! Hands rectangles to the lanes by their number of pieces, halves those with many, cuts those in
+//! which pieces cross into bands, and has the few with slivers solved one by one.
 
 use super::cell::{Cell, Half, LEFT_0, Piece, Rectangle, Stretch, split};
 use super::lanes::{Lanes, Solved};
@@ -35,6 +35,7 @@ struct Queue<const K: usize, const M: usize> {
     /// Parts of those in which pieces cross.
     bands: Lanes<K, M>,
     solved: Solved<K>,
+    solved_bands: Solved<K>,
 }
 
 /// For the rectangles that are not simple.
@@ -132,7 +133,7 @@ fn run<const K: usize, const M: usize, const OUTLINE: bool>(
     plain: &mut Plain,
     sink: &mut impl Sink,
 ) {
-    let Queue { first, bands, solved } = lanes;
+    let Queue { first, bands, solved, solved_bands } = lanes;
     if first.count == 0 {
         return;
     }
@@ -151,9 +152,7 @@ fn run<const K: usize, const M: usize, const OUTLINE: bool>(
             if bottom > top {
                 let band = Rectangle { top, bottom, ..rectangle };
                 if bands.push(band, pieces, first.layers[l], first.tags[l]) {
-                    // The results of the first round that are still wanted stay.
-                    let mut inner = Solved::default();
-                    finish::<K, M, OUTLINE>(bands, &mut inner, plain, sink);
+                    finish::<K, M, OUTLINE>(bands, solved_bands, plain, sink);
                 }
                 top = bottom;
             }
@@ -168,8 +167,7 @@ fn end<const K: usize, const M: usize, const OUTLINE: bool>(
     sink: &mut impl Sink,
 ) {
     run::<K, M, OUTLINE>(lanes, plain, sink);
-    let Queue { bands, solved, .. } = lanes;
-    finish::<K, M, OUTLINE>(bands, solved, plain, sink);
+    finish::<K, M, OUTLINE>(&mut lanes.bands, &mut lanes.solved_bands, plain, sink);
 }
 
 /// Solve the bands that are waiting.
@@ -198,7 +196,7 @@ fn take<const K: usize, const M: usize, const OUTLINE: bool>(
 ) {
     let (pieces, tag) = (&lanes.pieces[l][..lanes.lengths[l]], lanes.tags[l]);
     if solved.sliver[l] < 0.0 {
-        plain.solve::<OUTLINE>(lanes.rectangles[l], pieces, lanes.layers[l], tag, sink);
+        plain.solve(lanes.rectangles[l], pieces, lanes.layers[l], tag, sink);
         return;
     }
     sink.area(tag, solved.area[l]);
@@ -240,7 +238,8 @@ impl Plain {
         self.heights.sort_unstable_by(f64::total_cmp);
     }
 
-    fn solve<const OUTLINE: bool>(
+    /// Slivers are looked for only where the outline is asked for.
+    fn solve(
         &mut self,
         rectangle: Rectangle,
         pieces: &[Piece],
@@ -249,8 +248,7 @@ impl Plain {
         sink: &mut impl Sink,
     ) {
         self.stretches.clear();
-        let mut outline = OUTLINE.then_some(&mut self.stretches);
-        let area = self.cell.solve(rectangle, pieces, layers, &mut outline);
+        let area = self.cell.solve(rectangle, pieces, layers, &mut self.stretches);
         sink.area(tag, area);
         for s in &self.stretches {
             let height = if s.ahead { s.to - s.from } else { s.from - s.to };
