@@ -17,7 +17,7 @@ pub(super) struct Piece {
     pub(super) step: i32,
     /// The edge.
     pub(super) edge: u32,
-    /// Where the piece goes on outside the rectangle: [`TOP`], [`LEFT_0`], [`LEFT_1`].
+    /// Where the piece goes on outside the rectangle: [`TOP`], [`LEFT_0`] and its like.
     pub(super) flags: u8,
 }
 
@@ -27,6 +27,10 @@ pub(super) const TOP: u8 = 1;
 pub(super) const LEFT_0: u8 = 2;
 /// The lower end is on the left side, and the edge goes on there.
 pub(super) const LEFT_1: u8 = 4;
+/// The upper end is on the right side, and the edge comes from there.
+pub(super) const RIGHT_0: u8 = 8;
+/// The lower end is on the right side, and the edge goes on there.
+pub(super) const RIGHT_1: u8 = 16;
 
 /// Two outlines closer than this, in pixels, with nothing but a sliver between them are none.
 pub(super) const SLIVER: f64 = 1e-9;
@@ -234,9 +238,10 @@ pub(super) fn split(
             } else if p.y0 >= y {
                 second.push(*p);
             } else {
-                let x = p.x0 + (y - p.y0) * ((p.x1 - p.x0) / (p.y1 - p.y0));
-                first.push(Piece { x1: x, y1: y, flags: p.flags & !LEFT_1, ..*p });
-                second.push(Piece { x0: x, y0: y, flags: (p.flags & LEFT_1) | TOP, ..*p });
+                let x = between(p.x0, p.x1, (y - p.y0) / (p.y1 - p.y0));
+                first.push(Piece { x1: x, y1: y, flags: p.flags & !(LEFT_1 | RIGHT_1), ..*p });
+                let flags = (p.flags & (LEFT_1 | RIGHT_1)) | TOP;
+                second.push(Piece { x0: x, y0: y, flags, ..*p });
             }
         }
     } else {
@@ -253,15 +258,15 @@ pub(super) fn split(
             } else if !a && !b {
                 second.push(*p);
             } else {
-                let y = p.y0 + (x - p.x0) * ((p.y1 - p.y0) / (p.x1 - p.x0));
-                let upper = Piece { x1: x, y1: y, flags: p.flags & !LEFT_1, ..*p };
-                let lower = Piece { x0: x, y0: y, flags: p.flags & LEFT_1, ..*p };
+                let y = between(p.y0, p.y1, (x - p.x0) / (p.x1 - p.x0));
+                let upper = p.flags & !(LEFT_1 | RIGHT_1);
+                let lower = p.flags & (LEFT_1 | RIGHT_1);
                 if a {
-                    first.push(upper);
-                    second.push(Piece { flags: lower.flags | LEFT_0, ..lower });
+                    first.push(Piece { x1: x, y1: y, flags: upper | RIGHT_1, ..*p });
+                    second.push(Piece { x0: x, y0: y, flags: lower | LEFT_0, ..*p });
                 } else {
-                    second.push(Piece { flags: upper.flags | LEFT_1, ..upper });
-                    first.push(lower);
+                    second.push(Piece { x1: x, y1: y, flags: upper | LEFT_1, ..*p });
+                    first.push(Piece { x0: x, y0: y, flags: lower | RIGHT_0, ..*p });
                 }
             }
         }
@@ -270,6 +275,15 @@ pub(super) fn split(
         Half { rectangle: one, pieces: first, layers },
         Half { rectangle: two, pieces: second, layers: beyond },
     ]
+}
+
+/// The point at `part` of the way from `a` to `b`; never beyond them.
+#[inline(always)]
+fn between(a: f64, b: f64, part: f64) -> f64 {
+    let (low, high) = if a < b { (a, b) } else { (b, a) };
+    let x = a + part * (b - a);
+    let x = if x < low { low } else { x };
+    if x > high { high } else { x }
 }
 
 /// A rectangle with a single piece, from border to border: the covered area, and whether the piece

@@ -11,7 +11,7 @@
 //! `cell`.
 
 mod cell;
-mod lanes;
+mod pairs;
 mod rows;
 mod solver;
 
@@ -31,10 +31,8 @@ use super::{Model, Pixel, Screen, Size};
 #[derive(Debug, Default)]
 struct Worker {
     rows: Rows,
-    down: Solver,
-    right: Solver,
+    solver: Solver,
     turned: Vec<Piece>,
-    sites: Vec<Site>,
 }
 
 thread_local! {
@@ -105,9 +103,8 @@ fn areas<T: Pixel>(outline: &Outline, extent: Extent, out: &mut [T], stride: usi
     let one = |band: Extent, out: &mut [T]| {
         lend(&WORKER, |worker| {
             let canvas = Canvas { out, stride, origin: (band.rows.0, first), extent: band };
-            let mut painter = Painter { canvas, solver: &mut worker.down };
+            let mut painter = Painter { canvas, solver: &mut worker.solver };
             worker.rows.walk(&outline.edges, band, &mut painter);
-            painter.solver.finish::<false>(&mut painter.canvas);
         });
     };
     let rows = rows_of_band(extent);
@@ -162,14 +159,10 @@ fn forces<T: Pixel>(
     let edges = &outline.edges[..];
     let one = |band: Extent, du: &mut [f64], dv: &mut [f64]| {
         lend(&WORKER, |worker| {
-            let Worker { rows, down, right, turned, sites } = worker;
-            sites.clear();
-            let forces = Forces { edges, sites, du, dv };
-            let mut collector = Collector { weights, stride, origin, down, right, turned, forces };
+            let Worker { rows, solver, turned } = worker;
+            let forces = Forces { edges, du, dv };
+            let mut collector = Collector { weights, stride, origin, solver, turned, forces };
             rows.walk(edges, band, &mut collector);
-            let Collector { down, right, mut forces, .. } = collector;
-            down.finish::<true>(&mut Down(&mut forces));
-            right.finish::<true>(&mut Right(&mut forces));
         });
     };
     let rows = rows_of_band(extent);
@@ -215,14 +208,17 @@ impl<T: Pixel> Canvas<'_, T> {
     }
 }
 
-impl<T: Pixel> Sink for Canvas<'_, T> {
+/// Adds up areas.
+struct Sum(f64);
+
+impl Sink for Sum {
     #[inline(always)]
-    fn area(&mut self, tag: u32, area: f64) {
-        let pixel = &mut self.out[tag as usize];
-        *pixel = T::from_f64((pixel.to_f64() + area).clamp(0.0, 1.0));
+    fn area(&mut self, area: f64) {
+        self.0 += area;
     }
 
-    fn edge(&mut self, _tag: u32, _edge: u32, _height: f64, _moment: f64) {}
+    #[inline(always)]
+    fn edge(&mut self, _edge: u32, _height: f64, _moment: f64) {}
 }
 
 impl<T: Pixel> Visitor for Painter<'_, T> {
@@ -242,14 +238,15 @@ impl<T: Pixel> Visitor for Painter<'_, T> {
     }
 
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
-        let at = self.canvas.at(row, column);
-        if let [piece] = pieces {
-            let (area, _) = single(piece, layers);
-            self.canvas.out[at] = T::from_f64(area.clamp(0.0, 1.0));
+        let area = if let [piece] = pieces {
+            single(piece, layers).0
         } else {
-            self.canvas.out[at] = T::default();
-            self.solver.add::<false>(UNIT, pieces, layers, at as u32, &mut self.canvas);
-        }
+            let mut sum = Sum(0.0);
+            self.solver.solve(UNIT, pieces, layers, &mut sum);
+            sum.0
+        };
+        let at = self.canvas.at(row, column);
+        self.canvas.out[at] = T::from_f64(area.clamp(0.0, 1.0));
     }
 }
 
@@ -260,8 +257,7 @@ struct Collector<'a, T> {
     stride: usize,
     /// Row and column of the first weight.
     origin: (usize, usize),
-    down: &'a mut Solver,
-    right: &'a mut Solver,
+    solver: &'a mut Solver,
     turned: &'a mut Vec<Piece>,
     forces: Forces<'a>,
 }
@@ -269,8 +265,6 @@ struct Collector<'a, T> {
 /// The gradient for image points so far.
 struct Forces<'a> {
     edges: &'a [NetEdge],
-    /// Pixels that were handed to a solver.
-    sites: &'a mut Vec<Site>,
     du: &'a mut [f64],
     dv: &'a mut [f64],
 }
@@ -297,16 +291,17 @@ impl Forces<'_> {
 }
 
 /// Results of the sweep down.
-struct Down<'a, 'b>(&'a mut Forces<'b>);
+struct Down<'a, 'b>(&'a mut Forces<'b>, Site);
 
 impl Sink for Down<'_, '_> {
-    fn area(&mut self, _tag: u32, _area: f64) {}
+    #[inline(always)]
+    fn area(&mut self, _area: f64) {}
 
     #[inline(always)]
-    fn edge(&mut self, tag: u32, edge: u32, height: f64, moment: f64) {
+    fn edge(&mut self, edge: u32, height: f64, moment: f64) {
         let e = self.0.edges[edge as usize];
         if e.is_steep() {
-            let site = self.0.sites[tag as usize];
+            let site = self.1;
             let whole = 1.0 / (e.y1 - e.y0);
             let (sum, along) =
                 (site.weight * height, site.weight * (moment + (site.row - e.y0) * height) * whole);
@@ -316,16 +311,17 @@ impl Sink for Down<'_, '_> {
 }
 
 /// Results of the sweep to the right: its right-hand side is below.
-struct Right<'a, 'b>(&'a mut Forces<'b>);
+struct Right<'a, 'b>(&'a mut Forces<'b>, Site);
 
 impl Sink for Right<'_, '_> {
-    fn area(&mut self, _tag: u32, _area: f64) {}
+    #[inline(always)]
+    fn area(&mut self, _area: f64) {}
 
     #[inline(always)]
-    fn edge(&mut self, tag: u32, edge: u32, width: f64, moment: f64) {
+    fn edge(&mut self, edge: u32, width: f64, moment: f64) {
         let e = self.0.edges[edge as usize];
         if !e.is_steep() {
-            let site = self.0.sites[tag as usize];
+            let site = self.1;
             let whole = 1.0 / (e.x1 - e.x0);
             let slope = (e.y1 - e.y0) * whole;
             let (sum, along) = (
@@ -364,15 +360,13 @@ impl<T: Pixel> Visitor for Collector<'_, T> {
             }
             return;
         }
-        let tag = self.forces.sites.len() as u32;
-        self.forces.sites.push(site);
         let steep = |p: &Piece| edges[p.edge as usize].is_steep();
         if pieces.iter().any(steep) {
-            self.down.add::<true>(UNIT, pieces, layers, tag, &mut Down(&mut self.forces));
+            self.solver.solve(UNIT, pieces, layers, &mut Down(&mut self.forces, site));
         }
         if !pieces.iter().all(steep) {
             transposed(pieces, self.turned);
-            self.right.add::<true>(UNIT, self.turned, layers, tag, &mut Right(&mut self.forces));
+            self.solver.solve(UNIT, self.turned, layers, &mut Right(&mut self.forces, site));
         }
     }
 }

@@ -7,7 +7,7 @@
 
 use super::super::order::RowOrder;
 use super::super::outline::{Extent, NetEdge};
-use super::cell::{LEFT_0, LEFT_1, Piece, TOP};
+use super::cell::{LEFT_0, LEFT_1, Piece, RIGHT_0, RIGHT_1, TOP};
 
 /// The part of an edge inside a row, in pixels; `y` from the top of the row.
 #[derive(Debug, Clone, Copy)]
@@ -310,6 +310,7 @@ impl Rows {
                 let (to, below) =
                     if c == b { (x1, y1) } else { (f64::from(c + 1), at(f64::from(c + 1), y)) };
                 if c >= c0 {
+                    let flags = if c == b { flags } else { flags | RIGHT_1 };
                     add(c, Piece { x0: x, y0: y, x1: to, y1: below, step, edge, flags });
                 }
                 (x, y, flags) = (to, below, LEFT_0);
@@ -325,7 +326,7 @@ impl Rows {
                     let flags = if c == b { flags } else { flags | LEFT_1 };
                     add(c, Piece { x0: x, y0: y, x1: to, y1: below, step, edge, flags });
                 }
-                (x, y, flags) = (to, below, 0);
+                (x, y, flags) = (to, below, RIGHT_0);
             }
         }
     }
