@@ -190,6 +190,13 @@ def projection(
 ) -> tuple[NDArray[float64], NDArray[float64]]:
     """MSPD and mean projection error, ``(N,)`` pixels each."""
 
+@final
+class Traces:
+    """Outlines of a batch of masks."""
+
+    @property
+    def nbytes(self) -> int: ...
+
 def silhouette(
     models: list[Model],
     R: NDArray[float64],
@@ -201,8 +208,12 @@ def silhouette(
     near: float | None,
     threads: int,
     out: NDArray[float32] | NDArray[float64],
-) -> None:
-    """Masks into ``out``, ``(B, H, W)``; ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``."""
+    traced: bool,
+) -> Traces | None:
+    """Masks into ``out``, ``(B, H, W)``; ``K`` is ``(1, 3, 3)`` or ``(B, 3, 3)``.
+
+    With ``traced``, the outlines, for the gradients of the same masks.
+    """
 
 def silhouette_gradients(
     models: list[Model],
@@ -216,6 +227,7 @@ def silhouette_gradients(
     threads: int,
     upstream: NDArray[float32] | NDArray[float64],
     vertices: bool,
+    traces: Traces | None,
 ) -> tuple[NDArray[float64], NDArray[float64], NDArray[float64], list[NDArray[float64]]]:
     """Gradients for ``R``, ``t``, ``K`` ``(B, 3, 3)`` and, if asked for, each model's vertices."""
 

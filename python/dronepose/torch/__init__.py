@@ -126,6 +126,8 @@ def silhouette(
     for each in (vertices, R, t, K):
         if each.dtype == torch.float64:
             dtype = torch.float64
+    wanted = any(each.requires_grad for each in (vertices, R, t, K))
+    traced = chosen.mode == "coverage" and wanted and torch.is_grad_enabled()
     length, count = (None, 0) if chosen.cutoff is None else chosen.cutoff
     masks: Tensor = silhouette_op(
         vertices.to(dtype),
@@ -141,6 +143,7 @@ def silhouette(
         near,
         check_finite,
         thread_count("num_threads", num_threads),
+        traced,
     )
     return masks
 

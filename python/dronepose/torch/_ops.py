@@ -13,6 +13,7 @@ from torch import Tensor
 
 from dronepose import _native
 from dronepose._buffers import BUFFERS
+from dronepose.torch import _outlines
 from dronepose.torch._models import models
 
 _Batch = tuple[list[_native.Model], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -37,12 +38,18 @@ def silhouette_op(
     near: _Float,
     check_finite: bool,
     threads: int,
+    traced: bool,
 ) -> Tensor:
-    """Masks ``(B, H, W)`` of the dtype and on the device of ``R``."""
+    """Masks ``(B, H, W)`` of the dtype and on the device of ``R``; ``traced`` where a backward pass
+    is to come.
+    """
     batch = _batch(vertices, faces, R, t, K)
     out = BUFFERS.empty((R.shape[0], height, width), _numpy_dtype(R))
     limit = None if cutoff is None else (cutoff, cutoff_count)
-    _native.silhouette(*batch, mode, softness, limit, near, threads, out)
+    traces = _native.silhouette(*batch, mode, softness, limit, near, threads, out, traced)
+    if traces is not None:
+        key = _outlines.key_of(batch, (height, width), mode, softness, near)
+        _outlines.keep(key, batch[0], traces)
     return torch.from_numpy(out).to(R.device)
 
 
@@ -75,6 +82,7 @@ def _backward_op(
     near: _Float,
     check_finite: bool,
     threads: int,
+    traced: bool,
     of_vertices: bool,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Gradients for vertices (empty unless asked for), ``R``, ``t`` and ``K``."""
@@ -83,8 +91,12 @@ def _backward_op(
     given = _image(upstream)
     if check_finite:
         _all_finite("the gradient that comes in for the masks", given, ("image", "row", "column"))
+    shape = (given.shape[1], given.shape[2])
+    traces = None
+    if traced:
+        traces = _outlines.take(_outlines.key_of(batch, shape, mode, softness, near))
     g_R, g_t, g_K, g_v = _native.silhouette_gradients(
-        *batch, mode, softness, limit, near, threads, given, of_vertices
+        *batch, mode, softness, limit, near, threads, given, of_vertices, traces
     )
     if K.ndim == 2:
         g_K = g_K.sum(axis=0)
@@ -119,6 +131,7 @@ def _(
     near: _Float,
     check_finite: bool,
     threads: int,
+    traced: bool,
     of_vertices: bool,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     shape = vertices.shape if of_vertices else (0, 3)

@@ -30,7 +30,7 @@ mod _native {
         quat_wxyz_from_matrix, symmetric_orientation_error, translation_error,
     };
     #[pymodule_export]
-    use super::silhouette::{PyModel, silhouette, silhouette_gradients};
+    use super::silhouette::{PyModel, PyTraces, silhouette, silhouette_gradients};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "the name that Python gives it")]

@@ -21,7 +21,7 @@ use pyo3::prelude::*;
 use super::error::MeshError;
 use crate::camera::Intrinsics;
 use crate::raster::{
-    Batch, Gradients, KaolinCutoff, Mode, Model, Pixel, Pytorch3dCutoff, Size, View, Wanted,
+    Batch, Gradients, KaolinCutoff, Mode, Model, Pixel, Pytorch3dCutoff, Size, Traces, View, Wanted,
 };
 use crate::{Error, threads};
 
@@ -225,7 +225,20 @@ pub(super) enum In<'py> {
     Double(PyReadonlyArray3<'py, f64>),
 }
 
-/// Masks into `out`, `(B, H, W)`.
+/// The outlines of a batch of masks.
+#[pyclass(frozen, name = "Traces", module = "dronepose._native")]
+pub(super) struct PyTraces(Traces);
+
+#[pymethods]
+impl PyTraces {
+    /// Memory in bytes.
+    #[getter]
+    fn nbytes(&self) -> usize {
+        self.0.bytes()
+    }
+}
+
+/// Masks into `out`, `(B, H, W)`; with `traced`, their outlines for the gradients.
 #[pyfunction]
 pub(super) fn silhouette<'py>(
     py: Python<'py>,
@@ -239,12 +252,13 @@ pub(super) fn silhouette<'py>(
     near: Option<f64>,
     threads: usize,
     out: Out<'py>,
-) -> PyResult<()> {
+    traced: bool,
+) -> PyResult<Option<PyTraces>> {
     let mode = mode_of(mode, width, cutoff)?;
     let request = Request { models, views: views(&R, &t, &K)?, mode, near, threads };
     match out {
-        Out::Single(out) => draw(py, &request, out),
-        Out::Double(out) => draw(py, &request, out),
+        Out::Single(out) => draw(py, &request, out, traced),
+        Out::Double(out) => draw(py, &request, out, traced),
     }
 }
 
@@ -252,10 +266,16 @@ fn draw<T: Pixel + numpy::Element>(
     py: Python<'_>,
     request: &Request<'_>,
     mut out: PyReadwriteArray3<'_, T>,
-) -> PyResult<()> {
+    traced: bool,
+) -> PyResult<Option<PyTraces>> {
     let shape = out.as_array().shape().to_vec();
     let pixels = out.as_slice_mut()?;
-    request.run(py, &shape, "out", |batch| batch.draw(pixels))
+    if traced {
+        let traces = request.run(py, &shape, "out", |batch| batch.draw_traced(pixels))?;
+        return Ok(Some(PyTraces(traces)));
+    }
+    request.run(py, &shape, "out", |batch| batch.draw(pixels))?;
+    Ok(None)
 }
 
 /// Gradients of `sum(upstream * masks)` for `R`, `t`, `K` and, if asked for, each model's vertices.
@@ -273,13 +293,16 @@ pub(super) fn silhouette_gradients<'py>(
     threads: usize,
     upstream: In<'py>,
     vertices: bool,
+    traces: Option<PyRef<'py, PyTraces>>,
 ) -> PyResult<PyGradients<'py>> {
     let mode = mode_of(mode, width, cutoff)?;
     let request = Request { models, views: views(&R, &t, &K)?, mode, near, threads };
     let wanted = Wanted { vertices };
+    let none = Traces::default();
+    let traces = traces.as_ref().map_or(&none, |traces| &traces.0);
     let gradients = match upstream {
-        In::Single(upstream) => back(py, &request, &upstream, wanted)?,
-        In::Double(upstream) => back(py, &request, &upstream, wanted)?,
+        In::Single(upstream) => back(py, &request, traces, &upstream, wanted)?,
+        In::Double(upstream) => back(py, &request, traces, &upstream, wanted)?,
     };
     let views = gradients.views;
     let R = Array3::from_shape_fn((views.len(), 3, 3), |(b, i, j)| views[b].rotation[i][j]);
@@ -300,10 +323,11 @@ pub(super) fn silhouette_gradients<'py>(
 fn back<T: Pixel + numpy::Element>(
     py: Python<'_>,
     request: &Request<'_>,
+    traces: &Traces,
     upstream: &PyReadonlyArray3<'_, T>,
     wanted: Wanted,
 ) -> PyResult<Gradients> {
     let shape = upstream.as_array().shape().to_vec();
     let pixels = upstream.as_slice()?;
-    request.run(py, &shape, "upstream", |batch| batch.gradients(pixels, wanted))
+    request.run(py, &shape, "upstream", |batch| batch.gradients_of(traces, pixels, wanted))
 }

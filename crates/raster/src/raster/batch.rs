@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::coverage::Trace;
 use super::{DEFAULT_NEAR, Mode, Model, Pixel, Screen, Size, View, ViewGradient};
 use crate::error::{Error, Result};
 
@@ -34,6 +35,19 @@ pub struct Gradients {
     pub views: Vec<ViewGradient>,
     /// `(V, 3)` for each model, if asked for; for one model, the sum over the views.
     pub vertices: Vec<Vec<f64>>,
+}
+
+/// The outlines of the masks of a batch, for its gradients. Some 40 kB an image of 320 x 240; only
+/// mode coverage has any.
+#[derive(Debug, Clone, Default)]
+pub struct Traces(Vec<Option<Trace>>);
+
+impl Traces {
+    /// Memory in bytes.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.0.iter().flatten().map(Trace::bytes).sum()
+    }
 }
 
 /// Views whose vertex gradients are added up one after another, before the groups are: a number
@@ -103,19 +117,39 @@ impl Batch<'_> {
     /// # Panics
     /// If `out` has another length.
     pub fn draw<T: Pixel>(&self, out: &mut [T]) -> Result<()> {
+        self.check_masks(out)?;
+        (out.par_chunks_exact_mut(self.size.pixels()).enumerate())
+            .try_for_each(|(image, out)| self.image(image, out, false).map(|_| ()))
+    }
+
+    /// As [`draw`](Self::draw), keeping what [`gradients_of`](Self::gradients_of) would have to find
+    /// again.
+    ///
+    /// # Errors
+    /// As [`Batch::draw`].
+    ///
+    /// # Panics
+    /// As [`Batch::draw`].
+    pub fn draw_traced<T: Pixel>(&self, out: &mut [T]) -> Result<Traces> {
+        self.check_masks(out)?;
+        (out.par_chunks_exact_mut(self.size.pixels()).enumerate())
+            .map(|(image, out)| self.image(image, out, true))
+            .collect::<Result<_>>()
+            .map(Traces)
+    }
+
+    fn check_masks<T>(&self, masks: &[T]) -> Result<()> {
         self.check()?;
-        assert_eq!(out.len(), self.views.len() * self.size.pixels(), "out: (B, H, W)");
-        let near = self.near.unwrap_or(DEFAULT_NEAR);
-        out.par_chunks_exact_mut(self.size.pixels()).zip(self.views).enumerate().try_for_each(
-            |(image, (out, view))| {
-                lend(|scratch| {
-                    let model = self.model(image);
-                    scratch.screen.project(model, view, near)?;
-                    self.mode.draw(model, &scratch.screen, self.size, out);
-                    Ok(())
-                })
-            },
-        )
+        assert_eq!(masks.len(), self.views.len() * self.size.pixels(), "expected (B, H, W)");
+        Ok(())
+    }
+
+    fn image<T: Pixel>(&self, image: usize, out: &mut [T], traced: bool) -> Result<Option<Trace>> {
+        lend(|scratch| {
+            let (model, near) = (self.model(image), self.near.unwrap_or(DEFAULT_NEAR));
+            scratch.screen.project(model, &self.views[image], near)?;
+            Ok(self.mode.draw(model, &scratch.screen, self.size, out, traced))
+        })
     }
 
     /// Gradients of `sum(upstream * masks)`; the masks are drawn again rather than kept.
@@ -126,8 +160,33 @@ impl Batch<'_> {
     /// # Panics
     /// If `upstream` is not `(B, H, W)`.
     pub fn gradients<T: Pixel>(&self, upstream: &[T], wanted: Wanted) -> Result<Gradients> {
-        self.check()?;
-        assert_eq!(upstream.len(), self.views.len() * self.size.pixels(), "upstream: (B, H, W)");
+        self.gradients_of(&Traces::default(), upstream, wanted)
+    }
+
+    /// As [`gradients`](Self::gradients), to the same bits, for masks whose outlines were kept by
+    /// [`draw_traced`](Self::draw_traced) of the same batch.
+    ///
+    /// # Errors
+    /// As [`Batch::draw`]; and [`Error::Argument`] if the traces are of another batch, as far as
+    /// their number and that of the vertices tell.
+    ///
+    /// # Panics
+    /// If `upstream` is not `(B, H, W)`.
+    pub fn gradients_of<T: Pixel>(
+        &self,
+        Traces(traces): &Traces,
+        upstream: &[T],
+        wanted: Wanted,
+    ) -> Result<Gradients> {
+        self.check_masks(upstream)?;
+        let fits = |(image, trace): (usize, &Option<Trace>)| {
+            trace.as_ref().is_none_or(|t| t.is_of(self.model(image), self.size, self.mode))
+        };
+        if !traces.is_empty()
+            && (traces.len() != self.views.len() || !traces.iter().enumerate().all(fits))
+        {
+            return Err(Error::argument("traces", "these are the outlines of other masks"));
+        }
         let near = self.near.unwrap_or(DEFAULT_NEAR);
         let one = |image: usize, vertices: Option<&mut [f64]>| -> Result<ViewGradient> {
             lend(|scratch| {
@@ -140,7 +199,8 @@ impl Batch<'_> {
                 }
                 let pixels = self.size.pixels();
                 let upstream = &upstream[image * pixels..(image + 1) * pixels];
-                self.mode.back(model, screen, self.size, upstream, du, dv);
+                let trace = traces.get(image).and_then(Option::as_ref);
+                self.mode.back(model, screen, self.size, upstream, trace, [du, dv]);
                 let mut gradient = ViewGradient::default();
                 screen.pull_back(model, view, du, dv, &mut gradient, vertices);
                 Ok(gradient)

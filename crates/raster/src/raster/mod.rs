@@ -35,7 +35,8 @@ pub mod sigmoid;
 mod soft;
 mod topology;
 
-pub use self::batch::{Batch, Gradients, Wanted};
+pub use self::batch::{Batch, Gradients, Traces, Wanted};
+use self::coverage::Trace;
 pub use self::model::Model;
 pub use self::screen::{Cut, Screen, View, ViewGradient};
 pub use self::topology::{Edge, Topology};
@@ -190,31 +191,43 @@ impl Mode {
         }
     }
 
-    /// The mask of a screen into `out`, `(H, W)`; every pixel is written.
-    fn draw<T: Pixel>(&self, model: &Model, screen: &Screen, size: Size, out: &mut [T]) {
+    /// The mask of a screen into `out`, `(H, W)`; every pixel is written. With `traced`, the outline
+    /// if the mode has one to keep.
+    fn draw<T: Pixel>(
+        &self,
+        model: &Model,
+        screen: &Screen,
+        size: Size,
+        out: &mut [T],
+        traced: bool,
+    ) -> Option<Trace> {
         match *self {
-            Self::Coverage { sigma } => coverage::draw(model, screen, size, sigma, out),
+            Self::Coverage { sigma } => {
+                return coverage::draw(model, screen, size, sigma, out, traced);
+            }
             Self::Hard => hard::draw(model, screen, size, out),
             Self::Dibr { delta, cutoff } => dibr::draw(model, screen, size, delta, cutoff, out),
             Self::Sigmoid { sigma, cutoff } => {
                 sigmoid::draw(model, screen, size, sigma, cutoff, out);
             }
         }
+        None
     }
 
-    /// Add the gradient of `sum(upstream * mask)` for image points to `du` and `dv`.
+    /// Add the gradient of `sum(upstream * mask)` for image points to `du` and `dv`; `trace` is what
+    /// [`draw`](Self::draw) returned for the same screen.
     fn back<T: Pixel>(
         &self,
         model: &Model,
         screen: &Screen,
         size: Size,
         upstream: &[T],
-        du: &mut [f64],
-        dv: &mut [f64],
+        trace: Option<&Trace>,
+        [du, dv]: [&mut [f64]; 2],
     ) {
         match *self {
             Self::Coverage { sigma } => {
-                coverage::back(model, screen, size, sigma, upstream, du, dv);
+                coverage::back(model, screen, size, sigma, upstream, trace, du, dv);
             }
             Self::Hard => {} // piecewise constant
             Self::Dibr { delta, cutoff } => {

@@ -136,17 +136,9 @@ impl Outline {
         })
     }
 
-    /// Vertices at one position move together: share what the first of them has got among all
-    /// that a face names. With a cut at the near plane the positions are those in the image.
+    /// See [`Topology::share`]. With a cut at the near plane positions are those in the image.
     pub(super) fn share(&self, model: &Model, gradient: &mut [f64]) {
-        let topology = self.clipped.as_ref().unwrap_or(model.topology());
-        for (k, (&first, &share)) in
-            topology.representative.iter().zip(&topology.share).enumerate().rev()
-        {
-            if share != 1.0 {
-                gradient[k] = gradient[first as usize] * share;
-            }
-        }
+        self.clipped.as_ref().unwrap_or(model.topology()).share(gradient);
     }
 }
 

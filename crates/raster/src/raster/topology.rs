@@ -70,6 +70,17 @@ impl Topology {
         let (edges, more) = edges(&faces);
         Self { representative, share, faces, edges, more }
     }
+
+    /// Vertices at one position move together: share what the first of them has got among all
+    /// that a face names.
+    pub(super) fn share(&self, gradient: &mut [f64]) {
+        let vertices = self.representative.iter().zip(&self.share).enumerate().rev();
+        for (k, (&first, &share)) in vertices {
+            if share != 1.0 {
+                gradient[k] = gradient[first as usize] * share;
+            }
+        }
+    }
 }
 
 /// For each key the index of the first equal one.

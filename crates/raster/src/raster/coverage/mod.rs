@@ -14,17 +14,20 @@ mod cell;
 mod pairs;
 mod rows;
 mod solver;
+mod trace;
 
 use std::cell::RefCell;
 use std::thread::LocalKey;
 
 use rayon::prelude::*;
 
-use self::cell::{Piece, Rectangle, single, transposed};
+use self::cell::{Piece, Rectangle, single};
 use self::rows::{Rows, Visitor};
 use self::solver::{Sink, Solver};
+pub use self::trace::Trace;
+use self::trace::{Kind, Segment, Tracer};
 use super::blur::{self, Kernel};
-use super::outline::{Extent, NetEdge, Outline};
+use super::outline::{Extent, Outline};
 use super::{Model, Pixel, Screen, Size};
 
 /// Buffers for a band of rows.
@@ -33,6 +36,7 @@ struct Worker {
     rows: Rows,
     solver: Solver,
     turned: Vec<Piece>,
+    segments: Vec<Segment>,
 }
 
 thread_local! {
@@ -72,110 +76,162 @@ fn band(extent: Extent, rows: usize, k: usize) -> Extent {
 }
 
 /// Draw the mask; every pixel of `out` is written. `sigma` in pixels.
-pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, sigma: f64, out: &mut [T]) {
+///
+/// With `traced`, the outline is returned too, so that [`back`] need not find it again; `None` for
+/// an image that is shared out in bands or has faces cut at the near plane.
+pub fn draw<T: Pixel>(
+    model: &Model,
+    screen: &Screen,
+    size: Size,
+    sigma: f64,
+    out: &mut [T],
+    traced: bool,
+) -> Option<Trace> {
     lend(&OUTLINE, |outline| {
         let kernel = Kernel::new(sigma);
         let (height, width) = kernel.padded(size);
         outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
         let Some(extent) = outline.extent(height, width) else {
             out.fill(T::default());
-            return;
+            return None;
         };
+        let kind = Kind { vertices: model.vertex_count(), size, sigma };
+        let mut trace = (traced && !screen.is_clipped()).then(|| Trace::new(kind, extent));
         if kernel.radius() == 0 {
             let (first, last) = extent.rows;
             out[..first * width].fill(T::default());
             out[last * width..].fill(T::default());
-            areas(outline, extent, &mut out[first * width..last * width], width, 0);
-            return;
+            let out = &mut out[first * width..last * width];
+            return areas(outline, extent, out, width, 0, trace);
         }
         blur::with_canvas(|canvas: &mut Vec<T>| {
             let (n, m) = (extent.rows.1 - extent.rows.0, extent.columns.1 - extent.columns.0);
             canvas.clear();
             canvas.resize(n * m, T::default());
-            areas(outline, extent, canvas, m, extent.columns.0);
+            trace = areas(outline, extent, canvas, m, extent.columns.0, trace.take());
             kernel.forward(canvas, extent.rows, extent.columns, size, out);
         });
-    });
+        trace
+    })
 }
 
 /// The areas of the rows of an extent, from column `first` on, `stride` pixels a row.
-fn areas<T: Pixel>(outline: &Outline, extent: Extent, out: &mut [T], stride: usize, first: usize) {
-    let one = |band: Extent, out: &mut [T]| {
+fn areas<T: Pixel>(
+    outline: &Outline,
+    extent: Extent,
+    out: &mut [T],
+    stride: usize,
+    first: usize,
+    trace: Option<Trace>,
+) -> Option<Trace> {
+    let rows = rows_of_band(extent);
+    let edges = &outline.edges[..];
+    let paint = |band: Extent, out: &mut [T], segments: Option<&mut Vec<Segment>>| {
         lend(&WORKER, |worker| {
+            let Worker { rows, solver, turned, .. } = worker;
             let canvas = Canvas { out, stride, origin: (band.rows.0, first), extent: band };
-            let mut painter = Painter { canvas, solver: &mut worker.solver };
-            worker.rows.walk(&outline.edges, band, &mut painter);
+            match segments {
+                None => rows.walk(edges, band, &mut Painter { canvas, solver }),
+                Some(segments) => {
+                    let tracer = Tracer { edges, solver, turned, segments };
+                    rows.walk(edges, band, &mut Both { canvas, tracer });
+                }
+            }
         });
     };
-    let rows = rows_of_band(extent);
     if rows == extent.rows.1 - extent.rows.0 {
-        one(extent, out);
+        let mut trace = trace;
+        paint(extent, out, trace.as_mut().map(|t| &mut t.segments));
+        trace
     } else {
         let parts = out.par_chunks_mut(rows * stride).enumerate();
-        parts.for_each(|(k, out)| one(band(extent, rows, k), out));
+        parts.for_each(|(k, out)| paint(band(extent, rows, k), out, None));
+        None
     }
 }
 
-/// Add the gradient of `sum(upstream * mask)` for image points to `du` and `dv`.
+/// Add the gradient of `sum(upstream * mask)` for image points to `du` and `dv`, with the trace of
+/// the same image or without.
+#[expect(clippy::too_many_arguments, reason = "an image, what comes in, what goes out")]
 pub fn back<T: Pixel>(
     model: &Model,
     screen: &Screen,
     size: Size,
     sigma: f64,
     upstream: &[T],
+    trace: Option<&Trace>,
     du: &mut [f64],
     dv: &mut [f64],
 ) {
     lend(&OUTLINE, |outline| {
         let kernel = Kernel::new(sigma);
         let (height, width) = kernel.padded(size);
-        outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
-        let Some(extent) = outline.extent(height, width) else { return };
+        let extent = match trace {
+            Some(trace) => trace.extent,
+            None => {
+                outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
+                let Some(extent) = outline.extent(height, width) else { return };
+                extent
+            }
+        };
+        let mut forces = |weights: &[T], stride: usize, first: usize| match trace {
+            Some(trace) => trace::apply(&trace.segments, weights, du, dv),
+            None => forces(outline, extent, weights, stride, first, du, dv),
+        };
         if kernel.radius() == 0 {
-            forces(outline, extent, upstream, width, (0, 0), du, dv);
+            let (first, last) = extent.rows;
+            forces(&upstream[first * width..last * width], width, 0);
         } else {
             blur::with_canvas(|canvas: &mut Vec<T>| {
                 kernel.adjoint(upstream, size, extent.rows, extent.columns, canvas);
-                let stride = extent.columns.1 - extent.columns.0;
-                let origin = (extent.rows.0, extent.columns.0);
-                forces(outline, extent, canvas, stride, origin, du, dv);
+                forces(canvas, extent.columns.1 - extent.columns.0, extent.columns.0);
             });
         }
-        outline.share(model, du);
-        outline.share(model, dv);
+        let topology = screen.is_clipped().then_some(&*outline);
+        for gradient in [du, dv] {
+            match topology {
+                Some(outline) => outline.share(model, gradient),
+                None => model.topology().share(gradient),
+            }
+        }
     });
 }
 
-/// The gradient for image points from the one for areas, whose first pixel is `origin`.
+/// The gradient for image points from the one for the areas of an extent, from column `first` on.
 fn forces<T: Pixel>(
     outline: &Outline,
     extent: Extent,
     weights: &[T],
     stride: usize,
-    origin: (usize, usize),
+    first: usize,
     du: &mut [f64],
     dv: &mut [f64],
 ) {
     let edges = &outline.edges[..];
-    let one = |band: Extent, du: &mut [f64], dv: &mut [f64]| {
+    let one = |band: Extent, weights: &[T], du: &mut [f64], dv: &mut [f64]| {
         lend(&WORKER, |worker| {
-            let Worker { rows, solver, turned } = worker;
-            let forces = Forces { edges, du, dv };
-            let mut collector = Collector { weights, stride, origin, solver, turned, forces };
-            rows.walk(edges, band, &mut collector);
+            let Worker { rows, solver, turned, segments } = worker;
+            segments.clear();
+            let tracer = Tracer { edges, solver, turned, segments };
+            rows.walk(
+                edges,
+                band,
+                &mut OutlineOnly { tracer, stride, origin: (band.rows.0, first) },
+            );
+            trace::apply(segments, weights, du, dv);
         });
     };
     let rows = rows_of_band(extent);
     let height = extent.rows.1 - extent.rows.0;
     if rows == height {
-        one(extent, du, dv);
+        one(extent, weights, du, dv);
         return;
     }
     let parts: Vec<_> = (0..height.div_ceil(rows))
         .into_par_iter()
         .map(|k| {
             let (mut du, mut dv) = (vec![0.0; du.len()], vec![0.0; dv.len()]);
-            one(band(extent, rows, k), &mut du, &mut dv);
+            one(band(extent, rows, k), &weights[k * rows * stride..], &mut du, &mut dv);
             (du, dv)
         })
         .collect();
@@ -184,12 +240,6 @@ fn forces<T: Pixel>(
             *sum += part;
         }
     }
-}
-
-/// Writes areas.
-struct Painter<'a, T> {
-    canvas: Canvas<'a, T>,
-    solver: &'a mut Solver,
 }
 
 /// Where areas go.
@@ -206,6 +256,28 @@ impl<T: Pixel> Canvas<'_, T> {
     fn at(&self, row: usize, column: usize) -> usize {
         (row - self.origin.0) * self.stride + column - self.origin.1
     }
+
+    /// What lies beside the extent.
+    #[inline(always)]
+    fn margins(&mut self, row: usize) {
+        let at = self.at(row, self.origin.1);
+        let (left, right) = self.extent.columns;
+        let line = &mut self.out[at..at + self.stride];
+        line[..left - self.origin.1].fill(T::default());
+        line[right - self.origin.1..].fill(T::default());
+    }
+
+    #[inline(always)]
+    fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {
+        let (from, to) = (self.at(row, from), self.at(row, to));
+        let value = if covered { T::from_f64(1.0) } else { T::default() };
+        self.out[from..to].fill(value);
+    }
+
+    #[inline(always)]
+    fn set(&mut self, at: usize, area: f64) {
+        self.out[at] = T::from_f64(area.clamp(0.0, 1.0));
+    }
 }
 
 /// Adds up areas.
@@ -218,23 +290,22 @@ impl Sink for Sum {
     }
 
     #[inline(always)]
-    fn edge(&mut self, _edge: u32, _height: f64, _moment: f64) {}
+    fn edge(&mut self, _edge: u32, _height: f64, _middle: f64) {}
+}
+
+/// Writes areas.
+struct Painter<'a, T> {
+    canvas: Canvas<'a, T>,
+    solver: &'a mut Solver,
 }
 
 impl<T: Pixel> Visitor for Painter<'_, T> {
     fn row(&mut self, row: usize) {
-        // What lies beside the extent.
-        let at = self.canvas.at(row, self.canvas.origin.1);
-        let (left, right) = self.canvas.extent.columns;
-        let line = &mut self.canvas.out[at..at + self.canvas.stride];
-        line[..left - self.canvas.origin.1].fill(T::default());
-        line[right - self.canvas.origin.1..].fill(T::default());
+        self.canvas.margins(row);
     }
 
     fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {
-        let (from, to) = (self.canvas.at(row, from), self.canvas.at(row, to));
-        let value = if covered { T::from_f64(1.0) } else { T::default() };
-        self.canvas.out[from..to].fill(value);
+        self.canvas.plain(row, from, to, covered);
     }
 
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
@@ -245,129 +316,48 @@ impl<T: Pixel> Visitor for Painter<'_, T> {
             self.solver.solve(UNIT, pieces, layers, &mut sum);
             sum.0
         };
+        self.canvas.set(self.canvas.at(row, column), area);
+    }
+}
+
+/// Writes areas and keeps the outline.
+struct Both<'a, T> {
+    canvas: Canvas<'a, T>,
+    tracer: Tracer<'a>,
+}
+
+impl<T: Pixel> Visitor for Both<'_, T> {
+    fn row(&mut self, row: usize) {
+        self.canvas.margins(row);
+    }
+
+    fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {
+        self.canvas.plain(row, from, to, covered);
+    }
+
+    fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
         let at = self.canvas.at(row, column);
-        self.canvas.out[at] = T::from_f64(area.clamp(0.0, 1.0));
+        let area = self.tracer.pixel(at as u32, row, column, pieces, layers);
+        self.canvas.set(at, area);
     }
 }
 
-/// Adds up the gradient: by a sweep down, and for (nearly) level edges by one to the right.
-struct Collector<'a, T> {
-    /// The gradient for areas.
-    weights: &'a [T],
+/// Keeps the outline.
+struct OutlineOnly<'a> {
+    tracer: Tracer<'a>,
     stride: usize,
-    /// Row and column of the first weight.
+    /// Row and column of the pixel with the number 0.
     origin: (usize, usize),
-    solver: &'a mut Solver,
-    turned: &'a mut Vec<Piece>,
-    forces: Forces<'a>,
 }
 
-/// The gradient for image points so far.
-struct Forces<'a> {
-    edges: &'a [NetEdge],
-    du: &'a mut [f64],
-    dv: &'a mut [f64],
-}
-
-/// A pixel, and the gradient for its area.
-#[derive(Debug, Clone, Copy)]
-struct Site {
-    weight: f64,
-    row: f64,
-    column: f64,
-}
-
-impl Forces<'_> {
-    /// The stretch of an edge in one pixel: its extent downwards and to the right, with the sign of
-    /// its outer side, and the mean of where it is between the ends of the edge.
-    #[inline(always)]
-    fn push(&mut self, e: &NetEdge, u: f64, v: f64, along_u: f64, along_v: f64) {
-        let (from, to) = (e.from as usize, e.to as usize);
-        self.du[from] += u - along_u;
-        self.dv[from] += v - along_v;
-        self.du[to] += along_u;
-        self.dv[to] += along_v;
-    }
-}
-
-/// Results of the sweep down.
-struct Down<'a, 'b>(&'a mut Forces<'b>, Site);
-
-impl Sink for Down<'_, '_> {
-    #[inline(always)]
-    fn area(&mut self, _area: f64) {}
-
-    #[inline(always)]
-    fn edge(&mut self, edge: u32, height: f64, moment: f64) {
-        let e = self.0.edges[edge as usize];
-        if e.is_steep() {
-            let site = self.1;
-            let whole = 1.0 / (e.y1 - e.y0);
-            let (sum, along) =
-                (site.weight * height, site.weight * (moment + (site.row - e.y0) * height) * whole);
-            self.0.push(&e, sum, -e.slope * sum, along, -e.slope * along);
-        }
-    }
-}
-
-/// Results of the sweep to the right: its right-hand side is below.
-struct Right<'a, 'b>(&'a mut Forces<'b>, Site);
-
-impl Sink for Right<'_, '_> {
-    #[inline(always)]
-    fn area(&mut self, _area: f64) {}
-
-    #[inline(always)]
-    fn edge(&mut self, edge: u32, width: f64, moment: f64) {
-        let e = self.0.edges[edge as usize];
-        if !e.is_steep() {
-            let site = self.1;
-            let whole = 1.0 / (e.x1 - e.x0);
-            let slope = (e.y1 - e.y0) * whole;
-            let (sum, along) = (
-                site.weight * width,
-                site.weight * (moment + (site.column - e.x0) * width) * whole,
-            );
-            self.0.push(&e, -slope * sum, sum, -slope * along, along);
-        }
-    }
-}
-
-impl<T: Pixel> Visitor for Collector<'_, T> {
+impl Visitor for OutlineOnly<'_> {
     fn row(&mut self, _row: usize) {}
 
     fn plain(&mut self, _row: usize, _from: usize, _to: usize, _covered: bool) {}
 
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
         let at = (row - self.origin.0) * self.stride + column - self.origin.1;
-        let weight = self.weights[at].to_f64();
-        if weight == 0.0 {
-            return;
-        }
-        let site = Site { weight, row: row as f64, column: column as f64 };
-        let edges = self.forces.edges;
-        if let [p] = pieces {
-            if let (_, Some(ahead)) = single(p, layers) {
-                let e = &edges[p.edge as usize];
-                let weight = if ahead { weight } else { -weight };
-                let along = if e.is_steep() {
-                    (0.5 * (p.y0 + p.y1) + site.row - e.y0) / (e.y1 - e.y0)
-                } else {
-                    (0.5 * (p.x0 + p.x1) + site.column - e.x0) / (e.x1 - e.x0)
-                };
-                let (u, v) = (weight * (p.y1 - p.y0), -weight * (p.x1 - p.x0));
-                self.forces.push(e, u, v, along * u, along * v);
-            }
-            return;
-        }
-        let steep = |p: &Piece| edges[p.edge as usize].is_steep();
-        if pieces.iter().any(steep) {
-            self.solver.solve(UNIT, pieces, layers, &mut Down(&mut self.forces, site));
-        }
-        if !pieces.iter().all(steep) {
-            transposed(pieces, self.turned);
-            self.solver.solve(UNIT, self.turned, layers, &mut Right(&mut self.forces, site));
-        }
+        self.tracer.pixel(at as u32, row, column, pieces, layers);
     }
 }
 

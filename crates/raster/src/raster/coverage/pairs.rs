@@ -104,8 +104,8 @@ impl Events {
 impl Pairs {
     /// Covered area of a rectangle with at most [`MOST`] pieces, `layers` being their number just
     /// outside its upper left corner. `visible` is called with each piece, the height over which it
-    /// is visible (positive if the uncovered side is the right one) and the first moment of that;
-    /// a piece may come more than once. `None` if pieces are too close to each other to tell.
+    /// is visible (positive if the uncovered side is the right one) and the middle of that; a piece
+    /// may come more than once. `None` if pieces are too close to each other to tell.
     #[inline(always)]
     pub(super) fn solve(
         &mut self,
@@ -142,7 +142,7 @@ impl Pairs {
                 if shown != 0.0 {
                     let height = shown * (p.y1 - p.y0);
                     area += height * 0.5 * (p.x0 + p.x1);
-                    visible(p, height, height * 0.5 * (p.y0 + p.y1));
+                    visible(p, height, 0.5 * (p.y0 + p.y1));
                 }
             } else {
                 area += self.in_parts(i, p, &mut visible);
@@ -186,7 +186,7 @@ impl Pairs {
             if shown != 0.0 && to > from {
                 let (height, middle) = (shown * (to - from), 0.5 * (from + to));
                 area += height * (p.x0 + (middle - p.y0) * self.slope[i]);
-                visible(p, height, height * middle);
+                visible(p, height, middle);
             }
         };
         for (y, change) in events.iter() {

@@ -11,9 +11,9 @@ const SMALL: f64 = 1e-6;
 pub(super) trait Sink {
     /// Covered area of (a part of) the rectangle.
     fn area(&mut self, area: f64);
-    /// `edge` is visible over the height `height` (positive if the uncovered side is the right
-    /// one); `moment` is its first moment.
-    fn edge(&mut self, edge: u32, height: f64, moment: f64);
+    /// A stretch of `edge` is visible, of the height `height` (positive if the uncovered side is
+    /// the right one), its middle at the height `middle`.
+    fn edge(&mut self, edge: u32, height: f64, middle: f64);
 }
 
 /// Buffers.
@@ -46,7 +46,7 @@ impl Solver {
             self.halve(rectangle, pieces, layers, sink);
             return;
         }
-        let visible = |p: &Piece, height: f64, moment: f64| sink.edge(p.edge, height, moment);
+        let visible = |p: &Piece, height: f64, middle: f64| sink.edge(p.edge, height, middle);
         match self.pairs.solve(rectangle, pieces, layers, visible) {
             Some(area) => sink.area(area),
             None => self.plain.solve(rectangle, pieces, layers, sink),
@@ -82,7 +82,7 @@ impl Plain {
         sink.area(area);
         for s in &self.stretches {
             let height = if s.ahead { s.to - s.from } else { s.from - s.to };
-            sink.edge(s.edge, height, height * 0.5 * (s.from + s.to));
+            sink.edge(s.edge, height, 0.5 * (s.from + s.to));
         }
     }
 }

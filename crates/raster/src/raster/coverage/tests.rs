@@ -250,3 +250,40 @@ fn bands_and_threads_change_no_bit() {
     draw(&model, &screen, top, 0.0, &mut out);
     assert_close(&out, &one.0[..top.pixels()], 1e-12);
 }
+
+#[test]
+fn a_kept_outline_gives_the_same_gradient() {
+    use crate::raster::{Batch, Mode, Wanted};
+    let mut seed = 5;
+    let vertices: Vec<[f64; 3]> = (0..30)
+        .map(|_| std::array::from_fn(|k| random(&mut seed) + if k == 2 { 0.0 } else { -0.5 }))
+        .collect();
+    let faces: Vec<[u32; 3]> =
+        (0..40).map(|_| std::array::from_fn(|_| (random(&mut seed) * 30.0) as u32)).collect();
+    let model = Model::new(&vertices, &faces).expect("valid");
+    // In front of the camera, cut by the near plane, and behind it.
+    let views: Vec<View> = [1.0, -0.4, -3.0]
+        .map(|z| View { translation: [0.1, 0.0, z], ..flat_view() })
+        .map(|v| View { camera: Intrinsics::new(20.0, 21.0, 12.0, 9.0).expect("valid"), ..v })
+        .to_vec();
+    let size = Size { height: 18, width: 24 };
+    let upstream: Vec<f32> =
+        (0..3 * size.pixels()).map(|_| random(&mut seed) as f32 - 0.5).collect();
+    for sigma in [0.0, 1.2] {
+        let mode = Mode::Coverage { sigma };
+        let batch = Batch { models: &[&model], views: &views, size, mode, near: Some(0.05) };
+        let (mut plain, mut traced) = (vec![0.0_f32; upstream.len()], vec![9.0; upstream.len()]);
+        batch.draw(&mut plain).expect("drawn");
+        let traces = batch.draw_traced(&mut traced).expect("drawn");
+        assert_eq!(plain, traced);
+        assert!(traces.bytes() > 0);
+        let wanted = Wanted { vertices: true };
+        let again = batch.gradients(&upstream, wanted).expect("drawn");
+        let kept = batch.gradients_of(&traces, &upstream, wanted).expect("drawn");
+        assert_eq!(again.views, kept.views);
+        assert_eq!(again.vertices, kept.vertices);
+        let other = Batch { mode: Mode::Coverage { sigma: 2.0 }, ..batch };
+        let refused = other.gradients_of(&traces, &upstream, wanted).expect_err("refused");
+        assert!(refused.to_string().contains("traces"), "{refused}");
+    }
+}
