@@ -6,9 +6,8 @@
 //! thread) and a bit that says so. The bits of a row then lead from one change to the next.
 
 use std::cell::RefCell;
-use std::ops::Range;
 
-use super::outline::{Net, NetEdge, Outline};
+use super::outline::{Extent, Net, NetEdge, Outline};
 use super::{Model, Pixel, Screen, Size};
 
 /// Buffers of one thread.
@@ -16,12 +15,21 @@ use super::{Model, Pixel, Screen, Size};
 struct Scratch {
     outline: Outline,
     /// Net edges that cross the centre line of a row.
-    crossing: Vec<u32>,
+    crossings: Vec<Crossing>,
     /// Net edges that may run exactly through a centre.
     borders: Vec<NetEdge>,
     table: Table,
     /// Pixels whose centre is on an edge.
     on_edge: Vec<usize>,
+}
+
+/// A net edge, and the rows whose centre line it crosses: known before the edge is looked up, so
+/// that a wrong guess at their number costs little.
+#[derive(Debug, Clone, Copy, Default)]
+struct Crossing {
+    edge: u32,
+    first: u32,
+    after: u32,
 }
 
 /// Changes of layers in a band of rows. All 0 between bands.
@@ -64,30 +72,32 @@ fn first_from(x: f64, n: usize) -> usize {
 /// Draw the mask; every pixel of `out` is written.
 pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, out: &mut [T]) {
     SCRATCH.with_borrow_mut(|scratch| {
-        let Scratch { outline, crossing, borders, table, on_edge } = scratch;
-        let Size { height, width } = size;
+        let Scratch { outline, crossings, borders, table, on_edge } = scratch;
+        let width = size.width;
         out.fill(T::default());
         let net = outline.choose(model, screen, 0.0);
         borders.clear();
         on_edge.clear();
-        let (top, bottom) = sort(&net, height, crossing, borders);
-        let words = width / 64 + 1; // a bit for the column after the last one, too
+        let reach = sort(&net, size, crossings, borders);
+        let (top, bottom) = reach.rows;
+        let (left, right) = reach.columns;
+        let words = (right - left) / 64 + 1; // a bit for the column after the last one, too
         let rows = (BAND / (64 * words)).max(1);
         for first in (top..bottom).step_by(rows) {
-            let band = first..(first + rows).min(bottom);
-            table.grow(words * band.len());
-            for &k in &*crossing {
-                let e = net.edge(k as usize);
+            let band = Extent { rows: (first, (first + rows).min(bottom)), ..reach };
+            table.grow(words * (band.rows.1 - first));
+            for c in &*crossings {
+                let e = net.edge(c.edge as usize);
                 if first == top && e.x0 == e.x1 {
                     borders.push(e);
                 }
-                table.mark(&e, &band, size, on_edge);
+                table.mark(&e, c, &band, width, on_edge);
             }
-            let lines = out[first * width..band.end * width].chunks_exact_mut(width);
+            let lines = out[first * width..band.rows.1 * width].chunks_exact_mut(width);
             let changes = table.change.chunks_exact_mut(64 * words);
             let touched = table.touched.chunks_exact_mut(words);
             for ((line, change), touched) in lines.zip(changes).zip(touched) {
-                paint(change, touched, line);
+                paint(change, touched, &mut line[left..right]);
             }
         }
         for &pixel in &*on_edge {
@@ -100,29 +110,37 @@ pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, out: &mut [T])
 }
 
 /// Sort out the net edges that cross the centre line of a row, and those that may run through a
-/// centre though they cross none; the rows from the first to the last.
+/// centre though they cross none; the part of the image that the net edges reach.
 fn sort(
     net: &Net,
-    height: usize,
-    crossing: &mut Vec<u32>,
+    size: Size,
+    crossings: &mut Vec<Crossing>,
     borders: &mut Vec<NetEdge>,
-) -> (usize, usize) {
+) -> Extent {
+    let Size { height, width } = size;
     // Every edge is written, and stays if it crosses a line.
-    crossing.resize(net.count() + 1, 0);
+    crossings.resize(net.count() + 1, Crossing::default());
     let mut count = 0;
     let (mut top, mut bottom) = (height, 0);
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for k in 0..net.count() {
-        let (upper, lower) = net.heights(k);
+        let [a, b] = net.ends(k);
+        let (upper, lower) = (if a.1 < b.1 { a.1 } else { b.1 }, if a.1 < b.1 { b.1 } else { a.1 });
+        for (x, _) in [a, b] {
+            low = if x < low { x } else { low };
+            high = if x > high { x } else { high };
+        }
         let (first, after) = (first_from(upper - 0.5, height), first_from(lower - 0.5, height));
-        crossing[count] = k as u32;
+        crossings[count] = Crossing { edge: k as u32, first: first as u32, after: after as u32 };
         count += usize::from(first < after);
         (top, bottom) = (top.min(first), bottom.max(after));
         if nearest(lower - 0.5).0 == lower - 0.5 {
             borders.push(net.edge(k));
         }
     }
-    crossing.truncate(count);
-    (top, bottom)
+    crossings.truncate(count);
+    let (left, right) = (first_from(low - 1.0, width), first_from(high, width));
+    Extent { rows: (top, bottom), columns: (left, right.max(left)) }
 }
 
 impl Table {
@@ -135,14 +153,20 @@ impl Table {
 
     /// Leave the steps of an edge in a band of rows.
     #[inline(always)]
-    fn mark(&mut self, e: &NetEdge, band: &Range<usize>, size: Size, on_edge: &mut Vec<usize>) {
-        let Size { height, width } = size;
-        let words = width / 64 + 1;
-        let (first, after) = (first_from(e.y0 - 0.5, height), first_from(e.y1 - 0.5, height));
-        for row in first.max(band.start)..after.min(band.end) {
+    fn mark(
+        &mut self,
+        e: &NetEdge,
+        rows: &Crossing,
+        band: &Extent,
+        width: usize,
+        on_edge: &mut Vec<usize>,
+    ) {
+        let ((top, bottom), (left, right)) = (band.rows, band.columns);
+        let words = (right - left) / 64 + 1;
+        for row in (rows.first as usize).max(top)..(rows.after as usize).min(bottom) {
             let x = e.x_at(row as f64 + 0.5) - 0.5;
-            let at = first_from(x, width);
-            let line = (row - band.start) * words;
+            let at = first_from(x, right).saturating_sub(left);
+            let line = (row - top) * words;
             self.change[64 * line + at] += e.step;
             self.touched[line + at / 64] |= 1 << (at % 64);
             // A centre on the edge, but for rounding.
@@ -172,9 +196,7 @@ fn paint<T: Pixel>(change: &mut [i32], touched: &mut [u64], line: &mut [T]) {
             }
         }
     }
-    if layers > 0 {
-        line[from..].fill(one);
-    }
+    // Net edges are closed: behind the last one there are no layers.
 }
 
 /// Centres exactly on a net edge: on one side of it there is a triangle.

@@ -65,7 +65,7 @@ pub(super) struct Outline {
     /// [`Edge`](super::Edge): as it runs on the screen, and reversed; +1, -1, or 0 without area.
     /// Zeros follow for a missing face.
     sides: Vec<[i8; 2]>,
-    /// Net edges by number, and their layers.
+    /// Net edges by number, and their layers; what follows them is of no account.
     chosen: Vec<(u32, i32)>,
     /// Of the faces cut at the near plane, if any were.
     clipped: Option<Topology>,
@@ -131,8 +131,8 @@ impl Outline {
             sides[face] = [sign, -sign];
         }
         sides.push([0, 0]);
-        select(topology, sides.as_flattened(), &mut self.chosen);
-        Net { topology, screen, shift, chosen: &self.chosen }
+        let count = select(topology, sides.as_flattened(), &mut self.chosen);
+        Net { topology, screen, shift, chosen: &self.chosen[..count] }
     }
 
     /// The part of a canvas that the union can reach, half open; `None` if none.
@@ -184,12 +184,13 @@ impl Net<'_> {
         self.chosen.len()
     }
 
-    /// Heights of the upper and the lower end.
+    /// Both ends, in any order.
     #[inline(always)]
-    pub(super) fn heights(&self, k: usize) -> (f64, f64) {
+    pub(super) fn ends(&self, k: usize) -> [(f64, f64); 2] {
         let edge = &self.topology.edges[self.chosen[k].0 as usize];
-        let (a, b) = (self.height(edge.a), self.height(edge.b));
-        (if a < b { a } else { b }, if a < b { b } else { a })
+        let column = |k: u32| self.screen.u[k as usize] + self.shift;
+        let (ya, yb) = (self.height(edge.a), self.height(edge.b));
+        [(column(edge.a), ya), (column(edge.b), yb)]
     }
 
     #[inline(always)]
@@ -219,28 +220,30 @@ fn turn(screen: &Screen, shift: f64, face: [u32; 3]) -> i8 {
     i8::from(area > 0.0) - i8::from(area < 0.0)
 }
 
-/// Edges whose faces do not cancel, with the layers on their inner side.
-fn select(topology: &Topology, sides: &[i8], chosen: &mut Vec<(u32, i32)>) {
-    let sum = |codes: &[u32]| codes.iter().map(|&c| i32::from(sides[c as usize])).sum::<i32>();
-    chosen.clear();
-    chosen.resize(topology.edges.len() + 1, (0, 0));
+/// Edges whose faces do not cancel, with the layers on their inner side, at the front of `chosen`;
+/// how many.
+fn select(topology: &Topology, sides: &[i8], chosen: &mut Vec<(u32, i32)>) -> usize {
+    let side = |code: u32| i32::from(sides[code as usize]);
+    if chosen.len() < topology.edges.len() {
+        chosen.resize(topology.edges.len(), (0, 0));
+    }
     let mut count = 0;
     if topology.more.is_empty() {
         for (id, edge) in topology.edges.iter().enumerate() {
-            let net = sum(&edge.faces);
+            let net = side(edge.faces[0]) + side(edge.faces[1]);
             chosen[count] = (id as u32, net);
             count += usize::from(net != 0);
         }
-    } else {
-        let mut more = topology.more.iter().peekable();
-        for (id, edge) in topology.edges.iter().enumerate() {
-            let mut net = sum(&edge.faces);
-            while let Some(&(_, code)) = more.next_if(|m| m.0 as usize == id) {
-                net += i32::from(sides[code as usize]);
-            }
-            chosen[count] = (id as u32, net);
-            count += usize::from(net != 0);
-        }
+        return count;
     }
-    chosen.truncate(count);
+    let mut more = topology.more.iter().peekable();
+    for (id, edge) in topology.edges.iter().enumerate() {
+        let mut net = side(edge.faces[0]) + side(edge.faces[1]);
+        while let Some(&(_, code)) = more.next_if(|m| m.0 as usize == id) {
+            net += side(code);
+        }
+        chosen[count] = (id as u32, net);
+        count += usize::from(net != 0);
+    }
+    count
 }
