@@ -1,113 +1,227 @@
 //! The point-sampled mask: 1 where the centre of a pixel is inside a projected triangle, its border
 //! included, 0 elsewhere. Its gradient is zero almost everywhere, and taken as zero.
+//!
+//! Each net edge leaves, in each row whose centre line it crosses, its step of layers at the first
+//! centre to the right of it, in a table of `i32` for bands of rows (up to 4 MiB, or one row, a
+//! thread) and a bit that says so. The bits of a row then lead from one change to the next.
 
 use std::cell::RefCell;
 
-use super::order::RowOrder;
-use super::outline::Outline;
+use super::outline::{Extent, Net, NetEdge, Outline};
 use super::{Model, Pixel, Screen, Size};
 
 /// Buffers of one thread.
 #[derive(Debug, Default)]
 struct Scratch {
     outline: Outline,
-    order: RowOrder,
-    /// For each column: change of layers between the centre before and this one.
+    /// Net edges that cross the centre line of a row.
+    crossings: Vec<Crossing>,
+    /// Net edges that may run exactly through a centre.
+    borders: Vec<NetEdge>,
+    table: Table,
+    /// Pixels whose centre is on an edge.
+    on_edge: Vec<usize>,
+}
+
+/// A net edge, and the rows whose centre line it crosses: known before the edge is looked up, so
+/// that a wrong guess at their number costs little.
+#[derive(Debug, Clone, Copy, Default)]
+struct Crossing {
+    edge: u32,
+    first: u32,
+    after: u32,
+}
+
+/// Changes of layers in a band of rows. All 0 between bands.
+#[derive(Debug, Default)]
+struct Table {
+    /// For each column of each row, between the centre before and this one.
     change: Vec<i32>,
-    /// Columns whose centre is on an edge.
-    touched: Vec<usize>,
+    /// For each column of each row, one bit: whether an edge is there.
+    touched: Vec<u64>,
 }
 
 /// Distance in pixels up to which a centre is on an edge.
 const ON_EDGE: f64 = 1e-10;
 
+/// Columns of all rows of a band, unless one row has more.
+const BAND: usize = 1 << 20;
+
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+/// The nearest whole number, even if there are two, for up to 31 bits.
+#[inline(always)]
+fn nearest(x: f64) -> (f64, i32) {
+    const SHIFT: f64 = 1.5 * (1_u64 << 52) as f64; // leaves no room for digits after the point
+    let shifted = x + SHIFT;
+    (shifted - SHIFT, shifted.to_bits() as i32)
+}
+
+/// The first whole number from `x` on, between 0 and `n`.
+#[inline(always)]
+fn first_from(x: f64, n: usize) -> usize {
+    let n = n as f64;
+    let x = if x > 0.0 { x } else { 0.0 };
+    let x = if x < n { x } else { n };
+    let (rounded, whole) = nearest(x);
+    (whole + i32::from(rounded < x)) as usize
 }
 
 /// Draw the mask; every pixel of `out` is written.
 pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, out: &mut [T]) {
     SCRATCH.with_borrow_mut(|scratch| {
-        let Scratch { outline, order, change, touched } = scratch;
-        let Size { height, width } = size;
-        outline.find(model, screen, 0.0, height as f64, width as f64);
-        let Some(extent) = outline.extent(height, width) else {
-            out.fill(T::default());
-            return;
-        };
-        let edges = &outline.edges;
-        let (first, last) = extent.rows;
-        out[..first * width].fill(T::default());
-        out[last * width..].fill(T::default());
-        order.begin(edges, first, last);
-        let (c0, c1) = extent.columns;
-        change.clear();
-        change.resize(c1 - c0 + 1, 0);
-        // The first column whose centre is at x or to the right of it, counted from c0.
-        let column = |x: f64| {
-            let c = (x - 0.5 - c0 as f64).ceil();
-            if c <= 0.0 { 0 } else { (c as usize).min(c1 - c0) }
-        };
-        let one = T::from_f64(1.0);
-        for row in first..last {
-            order.enter(row - first);
-            let line = &mut out[row * width..(row + 1) * width];
-            let (centre, bottom) = (row as f64 + 0.5, (row + 1) as f64);
-            order.active.retain(|&id| {
-                let e = &edges[id as usize];
-                if e.y0 <= centre && centre < e.y1 {
-                    let x = e.x_at(centre);
-                    let at = column(x);
-                    change[at] += e.step;
-                    // A centre on the edge, but for rounding.
-                    let nearest = (x - 0.5).round();
-                    if (x - 0.5 - nearest).abs() < ON_EDGE
-                        && (c0 as f64..c1 as f64).contains(&nearest)
-                    {
-                        touched.push(nearest as usize);
-                    }
+        let Scratch { outline, crossings, borders, table, on_edge } = scratch;
+        let width = size.width;
+        out.fill(T::default());
+        let net = outline.choose(model, screen, 0.0);
+        borders.clear();
+        on_edge.clear();
+        let reach = sort(&net, size, crossings, borders);
+        let (top, bottom) = reach.rows;
+        let (left, right) = reach.columns;
+        let words = (right - left) / 64 + 1; // a bit for the column after the last one, too
+        let rows = (BAND / (64 * words)).max(1);
+        for first in (top..bottom).step_by(rows) {
+            let band = Extent { rows: (first, (first + rows).min(bottom)), ..reach };
+            table.grow(words * (band.rows.1 - first));
+            for c in &*crossings {
+                let e = net.edge(c.edge as usize);
+                if first == top && e.x0 == e.x1 {
+                    borders.push(e);
                 }
-                e.y1 >= bottom
-            });
-            let mut layers = 0;
-            line[..c0].fill(T::default());
-            line[c1..].fill(T::default());
-            for (pixel, change) in line[c0..c1].iter_mut().zip(change.iter_mut()) {
-                layers += std::mem::take(change);
-                *pixel = if layers > 0 { one } else { T::default() };
+                table.mark(&e, c, &band, width, on_edge);
             }
-            change[c1 - c0] = 0;
-            for column in touched.drain(..) {
-                line[column] = one;
+            let lines = out[first * width..band.rows.1 * width].chunks_exact_mut(width);
+            let changes = table.change.chunks_exact_mut(64 * words);
+            let touched = table.touched.chunks_exact_mut(words);
+            for ((line, change), touched) in lines.zip(changes).zip(touched) {
+                paint(change, touched, &mut line[left..right]);
             }
         }
-        borders(edges, size, out);
+        for &pixel in &*on_edge {
+            out[pixel] = T::from_f64(1.0);
+        }
+        for e in &*borders {
+            border(e, size, out);
+        }
     });
 }
 
+/// Sort out the net edges that cross the centre line of a row, and those that may run through a
+/// centre though they cross none; the part of the image that the net edges reach.
+fn sort(
+    net: &Net,
+    size: Size,
+    crossings: &mut Vec<Crossing>,
+    borders: &mut Vec<NetEdge>,
+) -> Extent {
+    let Size { height, width } = size;
+    // Every edge is written, and stays if it crosses a line.
+    crossings.resize(net.count() + 1, Crossing::default());
+    let mut count = 0;
+    let (mut top, mut bottom) = (height, 0);
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for k in 0..net.count() {
+        let [a, b] = net.ends(k);
+        let (upper, lower) = (if a.1 < b.1 { a.1 } else { b.1 }, if a.1 < b.1 { b.1 } else { a.1 });
+        for (x, _) in [a, b] {
+            low = if x < low { x } else { low };
+            high = if x > high { x } else { high };
+        }
+        let (first, after) = (first_from(upper - 0.5, height), first_from(lower - 0.5, height));
+        crossings[count] = Crossing { edge: k as u32, first: first as u32, after: after as u32 };
+        count += usize::from(first < after);
+        (top, bottom) = (top.min(first), bottom.max(after));
+        if nearest(lower - 0.5).0 == lower - 0.5 {
+            borders.push(net.edge(k));
+        }
+    }
+    crossings.truncate(count);
+    let (left, right) = (first_from(low - 1.0, width), first_from(high, width));
+    Extent { rows: (top, bottom), columns: (left, right.max(left)) }
+}
+
+impl Table {
+    fn grow(&mut self, words: usize) {
+        if self.touched.len() < words {
+            self.touched.resize(words, 0);
+            self.change.resize(64 * words, 0);
+        }
+    }
+
+    /// Leave the steps of an edge in a band of rows.
+    #[inline(always)]
+    fn mark(
+        &mut self,
+        e: &NetEdge,
+        rows: &Crossing,
+        band: &Extent,
+        width: usize,
+        on_edge: &mut Vec<usize>,
+    ) {
+        let ((top, bottom), (left, right)) = (band.rows, band.columns);
+        let words = (right - left) / 64 + 1;
+        for row in (rows.first as usize).max(top)..(rows.after as usize).min(bottom) {
+            let x = e.x_at(row as f64 + 0.5) - 0.5;
+            let at = first_from(x, right).saturating_sub(left);
+            let line = (row - top) * words;
+            self.change[64 * line + at] += e.step;
+            self.touched[line + at / 64] |= 1 << (at % 64);
+            // A centre on the edge, but for rounding.
+            let (centre, column) = nearest(x);
+            if (x - centre).abs() < ON_EDGE && (0.0..width as f64).contains(&centre) {
+                on_edge.push(row * width + column as usize);
+            }
+        }
+    }
+}
+
+/// Fill a row where there are layers, and clear its changes.
+fn paint<T: Pixel>(change: &mut [i32], touched: &mut [u64], line: &mut [T]) {
+    let one = T::from_f64(1.0);
+    let (mut layers, mut from) = (0, 0);
+    for (word, bits) in touched.iter_mut().enumerate() {
+        let mut bits = std::mem::take(bits);
+        while bits != 0 {
+            let column = 64 * word + bits.trailing_zeros() as usize;
+            bits &= bits - 1;
+            let before = layers;
+            layers += std::mem::take(&mut change[column]);
+            if before <= 0 && layers > 0 {
+                from = column;
+            } else if before > 0 && layers <= 0 {
+                line[from..column].fill(one);
+            }
+        }
+    }
+    // Net edges are closed: behind the last one there are no layers.
+}
+
 /// Centres exactly on a net edge: on one side of it there is a triangle.
-fn borders<T: Pixel>(edges: &[super::outline::NetEdge], size: Size, out: &mut [T]) {
+fn border<T: Pixel>(e: &NetEdge, size: Size, out: &mut [T]) {
     let one = T::from_f64(1.0);
     let on_grid = |x: f64| (x - 0.5).fract() == 0.0;
     let Size { height, width } = size;
-    for e in edges {
-        let upright = e.x0 == e.x1 && on_grid(e.x0);
-        let level = e.y0 == e.y1 && on_grid(e.y0);
-        let lower_end = on_grid(e.y1) && on_grid(e.x1);
-        if !(upright || level || lower_end) {
-            continue;
-        }
-        let first = |x: f64| ((x - 0.5).ceil().max(0.0)) as usize;
-        let after = |x: f64, n: usize| (x + 0.5).floor().clamp(0.0, n as f64) as usize;
-        let (low, high) = if e.x0 < e.x1 { (e.x0, e.x1) } else { (e.x1, e.x0) };
-        if upright || level {
-            for row in first(e.y0)..after(e.y1, height) {
-                let columns = first(low)..after(high, width);
-                if !columns.is_empty() {
-                    out[row * width..][columns].fill(one);
-                }
+    if e.x0 == e.x1 && e.y0 == e.y1 {
+        return;
+    }
+    let upright = e.x0 == e.x1 && on_grid(e.x0);
+    let level = e.y0 == e.y1 && on_grid(e.y0);
+    let first = |x: f64| ((x - 0.5).ceil().max(0.0)) as usize;
+    let after = |x: f64, n: usize| (x + 0.5).floor().clamp(0.0, n as f64) as usize;
+    let (low, high) = if e.x0 < e.x1 { (e.x0, e.x1) } else { (e.x1, e.x0) };
+    if upright || level {
+        for row in first(e.y0)..after(e.y1, height) {
+            let columns = first(low)..after(high, width);
+            if !columns.is_empty() {
+                out[row * width..][columns].fill(one);
             }
-        } else if e.x1 > 0.0 && e.y1 > 0.0 && e.x1 < width as f64 && e.y1 < height as f64 {
+        }
+    } else if on_grid(e.y1) && on_grid(e.x1) {
+        let within = |x: f64, n: usize| x > 0.0 && x < n as f64;
+        if within(e.x1, width) && within(e.y1, height) {
             out[e.y1 as usize * width + e.x1 as usize] = one;
         }
     }

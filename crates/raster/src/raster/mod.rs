@@ -30,6 +30,7 @@ pub mod hard;
 mod model;
 mod order;
 mod outline;
+mod planes;
 mod screen;
 pub mod sigmoid;
 mod soft;

@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use super::Topology;
+use super::planes::Planes;
 use crate::error::{Error, Result};
 use crate::mesh::Mesh;
 
@@ -18,6 +19,7 @@ pub struct Model {
     pub(crate) z: Vec<f64>,
     faces: Vec<[u32; 3]>,
     topology: Topology,
+    planes: Planes,
 }
 
 impl Model {
@@ -41,8 +43,7 @@ impl Model {
             return Err(Error::argument("faces", format!("{} are more than fit", faces.len())));
         }
         let topology = Topology::new(&keys(vertices), faces);
-        let axis = |k: usize| vertices.iter().map(|p| p[k]).collect();
-        Ok(Self { x: axis(0), y: axis(1), z: axis(2), faces: faces.to_vec(), topology })
+        Ok(Self::with_topology(vertices, faces, topology))
     }
 
     /// From a mesh in metres.
@@ -66,8 +67,13 @@ impl Model {
         }
         Self::check_vertices(vertices)?;
         let topology = self.topology.rewelded(&keys(vertices), &self.faces);
-        let axis = |k: usize| vertices.iter().map(|p| p[k]).collect();
-        Ok(Self { x: axis(0), y: axis(1), z: axis(2), faces: self.faces.clone(), topology })
+        Ok(Self::with_topology(vertices, &self.faces, topology))
+    }
+
+    fn with_topology(vertices: &[[f64; 3]], faces: &[[u32; 3]], topology: Topology) -> Self {
+        let [x, y, z] = std::array::from_fn(|k| vertices.iter().map(|p| p[k]).collect::<Vec<_>>());
+        let planes = Planes::new([&x, &y, &z], faces);
+        Self { x, y, z, faces: faces.to_vec(), topology, planes }
     }
 
     fn check_vertices(vertices: &[[f64; 3]]) -> Result<()> {
@@ -106,6 +112,10 @@ impl Model {
     #[must_use]
     pub fn topology(&self) -> &Topology {
         &self.topology
+    }
+
+    pub(super) fn planes(&self) -> &Planes {
+        &self.planes
     }
 
     /// A vertex, in metres.

@@ -9,8 +9,6 @@ pub(super) struct RowOrder {
     /// `order[start[r]..start[r + 1]]`.
     start: Vec<u32>,
     order: Vec<u32>,
-    /// Edges in the current row.
-    pub(super) active: Vec<u32>,
 }
 
 impl RowOrder {
@@ -19,7 +17,6 @@ impl RowOrder {
         let rows = last - first;
         let row = |e: &NetEdge| ((e.y0 - first as f64).max(0.0) as usize).min(rows);
         let inside = |e: &NetEdge| e.y1 >= first as f64;
-        self.active.clear();
         self.start.clear();
         self.start.resize(rows + 2, 0);
         for e in edges.iter().filter(|e| inside(e)) {
@@ -50,11 +47,5 @@ impl RowOrder {
     #[inline(always)]
     pub(super) fn edge(&self, place: usize) -> u32 {
         self.order[place]
-    }
-
-    /// Add the edges that start in a row to the active ones.
-    pub(super) fn enter(&mut self, row: usize) {
-        let starting = self.starting(row);
-        self.active.extend_from_slice(&self.order[starting]);
     }
 }

@@ -59,11 +59,13 @@ pub(super) struct Outline {
     pub(super) edges: Vec<NetEdge>,
     /// Whether an edge was left out because it lies to the right of the canvas.
     pub(super) beyond: bool,
-    /// Image points, moved.
-    points: Vec<[f64; 2]>,
-    /// See [`orient`].
-    sides: Vec<i8>,
-    /// Net edges by number, and their layers.
+    /// See [`Planes::signs`](super::planes::Planes::signs).
+    signs: Vec<u8>,
+    /// Layers that each face adds on the inner side of an edge, for each coded face of
+    /// [`Edge`](super::Edge): as it runs on the screen, and reversed; +1, -1, or 0 without area.
+    /// Zeros follow for a missing face.
+    sides: Vec<[i8; 2]>,
+    /// Net edges by number, and their layers; what follows them is of no account.
     chosen: Vec<(u32, i32)>,
     /// Of the faces cut at the near plane, if any were.
     clipped: Option<Topology>,
@@ -80,6 +82,32 @@ impl Outline {
         height: f64,
         width: f64,
     ) {
+        let mut edges = std::mem::take(&mut self.edges);
+        edges.clear();
+        let mut beyond = false;
+        let net = self.choose(model, screen, shift);
+        for k in 0..net.count() {
+            let e = net.edge(k);
+            let right = if e.x0 < e.x1 { e.x0 } else { e.x1 };
+            if e.y1 < 0.0 || e.y0 >= height || (e.x0 == e.x1 && e.y0 == e.y1) {
+                continue;
+            }
+            if right >= width {
+                beyond = true;
+                continue;
+            }
+            edges.push(e);
+        }
+        (self.edges, self.beyond) = (edges, beyond);
+    }
+
+    /// Find which edges are net edges, moved as by [`find`](Self::find).
+    pub(super) fn choose<'a>(
+        &'a mut self,
+        model: &'a Model,
+        screen: &'a Screen,
+        shift: f64,
+    ) -> Net<'a> {
         self.clipped = screen.is_clipped().then(|| {
             let keys: Vec<[u64; 2]> = (screen.u.iter().zip(&screen.v))
                 .map(|(&u, &v)| [(u + 0.0).to_bits(), (v + 0.0).to_bits()])
@@ -87,32 +115,24 @@ impl Outline {
             Topology::new(&keys, screen.faces(model))
         });
         let topology = self.clipped.as_ref().unwrap_or(model.topology());
-        self.points.clear();
-        self.points.extend(screen.u.iter().zip(&screen.v).map(|(&u, &v)| [u + shift, v + shift]));
-        orient(&self.points, &topology.faces, &mut self.sides);
-        select(topology, &self.sides, &mut self.chosen);
-        self.edges.clear();
-        self.beyond = false;
-        for &(id, net) in &self.chosen {
-            let edge = &topology.edges[id as usize];
-            let ([xa, ya], [xb, yb]) = (self.points[edge.a as usize], self.points[edge.b as usize]);
-            let down = ya < yb || (ya == yb && xa < xb);
-            let (x0, y0, x1, y1, from, to, step) = if down {
-                (xa, ya, xb, yb, edge.a, edge.b, -net)
-            } else {
-                (xb, yb, xa, ya, edge.b, edge.a, net)
-            };
-            let right = if x0 < x1 { x0 } else { x1 };
-            if y1 < 0.0 || y0 >= height || (x0 == x1 && y0 == y1) {
-                continue;
-            }
-            if right >= width {
-                self.beyond = true;
-                continue;
-            }
-            let slope = if y1 > y0 { (x1 - x0) / (y1 - y0) } else { 0.0 };
-            self.edges.push(NetEdge { x0, y0, x1, y1, slope, from, to, step });
+        let Self { signs, sides, .. } = self;
+        if let Some(facing) = screen.facing() {
+            model.planes().signs(facing, shift, signs);
+        } else {
+            signs.clear();
+            signs.resize(topology.faces.len(), 0);
         }
+        sides.clear();
+        sides.extend(
+            signs.iter().map(|&sign| [sign.cast_signed(), sign.cast_signed().wrapping_neg()]),
+        );
+        for face in memchr::memchr_iter(0, signs) {
+            let sign = turn(screen, shift, topology.faces[face]);
+            sides[face] = [sign, -sign];
+        }
+        sides.push([0, 0]);
+        let count = select(topology, sides.as_flattened(), &mut self.chosen);
+        Net { topology, screen, shift, chosen: &self.chosen[..count] }
     }
 
     /// The part of a canvas that the union can reach, half open; `None` if none.
@@ -142,43 +162,80 @@ impl Outline {
     }
 }
 
-/// Layers that a face adds on the inner side of an edge, for each coded face of [`Edge`]: as it runs
-/// on the screen, and reversed; +1, -1, or 0 without area. Zeros follow for a missing face.
-///
-/// [`Edge`]: super::Edge
-fn orient(points: &[[f64; 2]], faces: &[[u32; 3]], sides: &mut Vec<i8>) {
-    sides.clear();
-    sides.extend(faces.iter().flat_map(|face| {
-        let [a, b, c] = face.map(|k| points[k as usize]);
-        let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-        let sign = i8::from(area > 0.0) - i8::from(area < 0.0);
-        [sign, -sign]
-    }));
-    sides.extend([0, 0]);
+/// The net edges, one by one.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Net<'a> {
+    topology: &'a Topology,
+    screen: &'a Screen,
+    shift: f64,
+    chosen: &'a [(u32, i32)],
 }
 
-/// Edges whose faces do not cancel, with the layers on their inner side.
-fn select(topology: &Topology, sides: &[i8], chosen: &mut Vec<(u32, i32)>) {
-    let sum = |codes: &[u32]| codes.iter().map(|&c| i32::from(sides[c as usize])).sum::<i32>();
-    chosen.clear();
-    chosen.resize(topology.edges.len() + 1, (0, 0));
+impl Net<'_> {
+    pub(super) fn count(&self) -> usize {
+        self.chosen.len()
+    }
+
+    /// Both ends, in any order.
+    #[inline(always)]
+    pub(super) fn ends(&self, k: usize) -> [(f64, f64); 2] {
+        let edge = &self.topology.edges[self.chosen[k].0 as usize];
+        let column = |k: u32| self.screen.u[k as usize] + self.shift;
+        let (ya, yb) = (self.height(edge.a), self.height(edge.b));
+        [(column(edge.a), ya), (column(edge.b), yb)]
+    }
+
+    #[inline(always)]
+    pub(super) fn edge(&self, k: usize) -> NetEdge {
+        let (id, net) = self.chosen[k];
+        let edge = &self.topology.edges[id as usize];
+        let column = |k: u32| self.screen.u[k as usize] + self.shift;
+        let (ya, yb) = (self.height(edge.a), self.height(edge.b));
+        // Looked up rather than branched on: nothing foretells which way an edge runs.
+        let up = (yb < ya) | ((ya == yb) & (column(edge.a) >= column(edge.b)));
+        let [from, to] = [[edge.a, edge.b], [edge.b, edge.a]][usize::from(up)];
+        let (x0, y0, x1, y1) = (column(from), self.height(from), column(to), self.height(to));
+        let slope = if y1 > y0 { (x1 - x0) / (y1 - y0) } else { 0.0 };
+        NetEdge { x0, y0, x1, y1, slope, from, to, step: if up { net } else { -net } }
+    }
+
+    #[inline(always)]
+    fn height(&self, point: u32) -> f64 {
+        self.screen.v[point as usize] + self.shift
+    }
+}
+
+/// Which way round a face runs on the screen: 1, -1, or 0 without area.
+fn turn(screen: &Screen, shift: f64, face: [u32; 3]) -> i8 {
+    let [a, b, c] = face.map(|k| [screen.u[k as usize] + shift, screen.v[k as usize] + shift]);
+    let area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+    i8::from(area > 0.0) - i8::from(area < 0.0)
+}
+
+/// Edges whose faces do not cancel, with the layers on their inner side, at the front of `chosen`;
+/// how many.
+fn select(topology: &Topology, sides: &[i8], chosen: &mut Vec<(u32, i32)>) -> usize {
+    let side = |code: u32| i32::from(sides[code as usize]);
+    if chosen.len() < topology.edges.len() {
+        chosen.resize(topology.edges.len(), (0, 0));
+    }
     let mut count = 0;
     if topology.more.is_empty() {
         for (id, edge) in topology.edges.iter().enumerate() {
-            let net = sum(&edge.faces);
+            let net = side(edge.faces[0]) + side(edge.faces[1]);
             chosen[count] = (id as u32, net);
             count += usize::from(net != 0);
         }
-    } else {
-        let mut more = topology.more.iter().peekable();
-        for (id, edge) in topology.edges.iter().enumerate() {
-            let mut net = sum(&edge.faces);
-            while let Some(&(_, code)) = more.next_if(|m| m.0 as usize == id) {
-                net += i32::from(sides[code as usize]);
-            }
-            chosen[count] = (id as u32, net);
-            count += usize::from(net != 0);
-        }
+        return count;
     }
-    chosen.truncate(count);
+    let mut more = topology.more.iter().peekable();
+    for (id, edge) in topology.edges.iter().enumerate() {
+        let mut net = side(edge.faces[0]) + side(edge.faces[1]);
+        while let Some(&(_, code)) = more.next_if(|m| m.0 as usize == id) {
+            net += side(code);
+        }
+        chosen[count] = (id as u32, net);
+        count += usize::from(net != 0);
+    }
+    count
 }

@@ -2,9 +2,10 @@
 
 use foldhash::fast::FixedState;
 use hashbrown::HashMap;
-use multiversion::multiversion;
+use pulp::{Arch, Simd, WithSimd};
 
 use super::Model;
+use super::planes::Facing;
 use crate::camera::Intrinsics;
 use crate::error::{Error, Result};
 
@@ -98,6 +99,7 @@ pub struct Screen {
     parents: Vec<u32>,
     vertices: usize,
     clipped: bool,
+    facing: Option<Facing>,
 }
 
 /// Derivatives of a number with respect to a view.
@@ -122,16 +124,19 @@ impl Screen {
             axis.resize(n, 0.0);
         }
         self.vertices = n;
-        let (low, reach) = transform(
-            [&model.x, &model.y, &model.z],
-            view,
-            near,
-            [&mut self.x, &mut self.y, &mut self.z, &mut self.u, &mut self.v],
-        );
-        if reach > LARGEST_IN_CAMERA || reach.is_nan() {
+        let (low, within) = ARCH.with(|arch| {
+            arch.dispatch(Transform {
+                model: [&model.x, &model.y, &model.z],
+                view,
+                near,
+                out: [&mut self.x, &mut self.y, &mut self.z, &mut self.u, &mut self.v],
+            })
+        });
+        if !within {
             return Err(Error::argument("R, t", "a vertex is further than 1e12 m from the camera"));
         }
         self.clipped = low < near;
+        self.facing = (!self.clipped).then(|| Facing::new(model.planes(), view, low));
         if self.clipped {
             self.clip(model, view, near);
         } else {
@@ -144,6 +149,11 @@ impl Screen {
     #[must_use]
     pub fn is_clipped(&self) -> bool {
         self.clipped
+    }
+
+    /// The view as the planes of the model see it, unless the near plane cut something away.
+    pub(super) fn facing(&self) -> Option<&Facing> {
+        self.facing.as_ref()
     }
 
     /// The faces in front of the near plane.
@@ -272,28 +282,114 @@ impl Screen {
     }
 }
 
-/// Camera and image points of all vertices; the smallest depth and the largest coordinate.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-fn transform(model: [&[f64]; 3], view: &View, near: f64, out: [&mut [f64]; 5]) -> (f64, f64) {
-    let n = model[0].len();
-    let [mx, my, mz] = model.map(|axis| &axis[..n]);
-    let [x, y, z, u, v] = out.map(|axis| &mut axis[..n]);
-    let (r, t, k) = (&view.rotation, &view.translation, &view.camera);
-    let (mut low, mut reach) = (f64::INFINITY, 0.0_f64);
-    for i in 0..n {
-        let cx = r[0][0] * mx[i] + r[0][1] * my[i] + r[0][2] * mz[i] + t[0];
-        let cy = r[1][0] * mx[i] + r[1][1] * my[i] + r[1][2] * mz[i] + t[1];
-        let cz = r[2][0] * mx[i] + r[2][1] * my[i] + r[2][2] * mz[i] + t[2];
-        (x[i], y[i], z[i]) = (cx, cy, cz);
-        let depth = if cz < near { near } else { cz };
-        low = if cz < low { cz } else { low };
-        let far = cx.abs() + cy.abs() + cz.abs();
-        reach = if far <= reach { reach } else { far };
-        let inverse = 1.0 / depth;
-        u[i] = (k.fx * cx + k.skew * cy) * inverse + k.cx;
-        v[i] = k.fy * cy * inverse + k.cy;
+thread_local! {
+    static ARCH: Arch = Arch::new();
+}
+
+/// The most lanes of any instruction set.
+const LANES: usize = 8;
+
+/// Camera and image points `x, y, z, u, v` of all vertices; the smallest depth, and whether all
+/// vertices are within [`LARGEST_IN_CAMERA`].
+struct Transform<'a> {
+    model: [&'a [f64]; 3],
+    view: &'a View,
+    near: f64,
+    out: [&'a mut [f64]; 5],
+}
+
+/// The numbers of a view in all lanes.
+struct Lanes<S: Simd> {
+    rotation: [[S::f64s; 3]; 3],
+    translation: [S::f64s; 3],
+    camera: [S::f64s; 5],
+    near: S::f64s,
+    limit: S::f64s,
+    one: S::f64s,
+}
+
+impl<S: Simd> Lanes<S> {
+    /// `x, y, z, u, v`, and where the point is not within [`LARGEST_IN_CAMERA`], 1.
+    #[inline(always)]
+    fn point(&self, simd: S, p: [S::f64s; 3], beyond: S::f64s) -> ([S::f64s; 5], S::f64s) {
+        let [x, y, z] = [self.axis(simd, p, 0), self.axis(simd, p, 1), self.axis(simd, p, 2)];
+        let far = simd.add_f64s(simd.abs_f64s(x), simd.abs_f64s(y));
+        let far = simd.add_f64s(far, simd.abs_f64s(z));
+        let within = simd.less_than_or_equal_f64s(far, self.limit);
+        let beyond = simd.select_f64s(within, beyond, self.one);
+        let inverse = simd.div_f64s(self.one, simd.max_f64s(z, self.near));
+        let [fx, fy, skew, cx, cy] = self.camera;
+        let u = simd.add_f64s(simd.mul_f64s(fx, x), simd.mul_f64s(skew, y));
+        let u = simd.add_f64s(simd.mul_f64s(u, inverse), cx);
+        let v = simd.add_f64s(simd.mul_f64s(simd.mul_f64s(fy, y), inverse), cy);
+        ([x, y, z, u, v], beyond)
     }
-    (low, reach)
+
+    #[inline(always)]
+    fn axis(&self, simd: S, p: [S::f64s; 3], k: usize) -> S::f64s {
+        let row = &self.rotation[k];
+        let sum = simd.add_f64s(simd.mul_f64s(row[0], p[0]), simd.mul_f64s(row[1], p[1]));
+        let sum = simd.add_f64s(sum, simd.mul_f64s(row[2], p[2]));
+        simd.add_f64s(sum, self.translation[k])
+    }
+}
+
+impl WithSimd for Transform<'_> {
+    type Output = (f64, bool);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> (f64, bool) {
+        let Self { model: [mx, my, mz], view, near, out: [x, y, z, u, v] } = self;
+        let (r, t, k) = (&view.rotation, &view.translation, &view.camera);
+        let mut lanes = Lanes::<S> {
+            rotation: [[simd.splat_f64s(0.0); 3]; 3],
+            translation: [simd.splat_f64s(0.0); 3],
+            camera: [simd.splat_f64s(0.0); 5],
+            near: simd.splat_f64s(near),
+            limit: simd.splat_f64s(LARGEST_IN_CAMERA),
+            one: simd.splat_f64s(1.0),
+        };
+        for i in 0..3 {
+            for j in 0..3 {
+                lanes.rotation[i][j] = simd.splat_f64s(r[i][j]);
+            }
+            lanes.translation[i] = simd.splat_f64s(t[i]);
+        }
+        for (i, value) in [k.fx, k.fy, k.skew, k.cx, k.cy].into_iter().enumerate() {
+            lanes.camera[i] = simd.splat_f64s(value);
+        }
+        let mut low = simd.splat_f64s(f64::INFINITY);
+        let mut beyond = simd.splat_f64s(0.0);
+        let ((mx, ends_x), (my, ends_y), (mz, ends_z)) =
+            (S::as_simd_f64s(mx), S::as_simd_f64s(my), S::as_simd_f64s(mz));
+        let ((x, end_x), (y, end_y), (z, end_z)) =
+            (S::as_mut_simd_f64s(x), S::as_mut_simd_f64s(y), S::as_mut_simd_f64s(z));
+        let ((u, end_u), (v, end_v)) = (S::as_mut_simd_f64s(u), S::as_mut_simd_f64s(v));
+        let points = mx.iter().zip(my).zip(mz);
+        let places = x.iter_mut().zip(y).zip(z).zip(u).zip(v);
+        for (((mx, my), mz), ((((x, y), z), u), v)) in points.zip(places) {
+            ([*x, *y, *z, *u, *v], beyond) = lanes.point(simd, [*mx, *my, *mz], beyond);
+            low = simd.min_f64s(*z, low);
+        }
+        if !ends_x.is_empty() {
+            // What is left over, filled up with its first point.
+            let mut fill = [ends_x, ends_y, ends_z].map(|ends| [ends[0]; LANES]);
+            for (lane, ends) in fill.iter_mut().zip([ends_x, ends_y, ends_z]) {
+                lane[..ends.len()].copy_from_slice(ends);
+            }
+            let [a, b, c] = &fill;
+            let p = [S::as_simd_f64s(a).0[0], S::as_simd_f64s(b).0[0], S::as_simd_f64s(c).0[0]];
+            let out;
+            (out, beyond) = lanes.point(simd, p, beyond);
+            low = simd.min_f64s(out[2], low);
+            simd.partial_store_f64s(end_x, out[0]);
+            simd.partial_store_f64s(end_y, out[1]);
+            simd.partial_store_f64s(end_z, out[2]);
+            simd.partial_store_f64s(end_u, out[3]);
+            simd.partial_store_f64s(end_v, out[4]);
+        }
+        (simd.reduce_min_f64s(low), simd.reduce_max_f64s(beyond) == 0.0)
+    }
 }
 
 #[cfg(test)]
