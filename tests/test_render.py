@@ -427,6 +427,23 @@ def test_results_stay_what_they_were(drone):
     assert address in (second.ctypes.data, render.silhouette(drone, camera, R, t).ctypes.data)
 
 
+@pytest.mark.parametrize("options", ALL, ids=scenes.name)
+def test_masks_with_their_gradient_are_both_to_the_bit(drone, options):
+    R, t = scenes.poses(np.random.default_rng(8), 3, 1.0)
+    U = np.random.default_rng(9).normal(size=(3, CAMERA.height, CAMERA.width))
+    masks, pull_back = render.silhouette_vjp(drone, CAMERA, R, t, **options)
+    np.testing.assert_array_equal(masks, render.silhouette(drone, CAMERA, R, t, **options))
+    expected = render.silhouette_gradients(drone, CAMERA, R, t, U, **options)
+    R[:], t[:] = 0, 9  # the poses belong to the caller
+    for _ in range(2):
+        found = pull_back(U)
+        for name in ("R", "t", "K", "vertices"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert pull_back(U, vertices=False).vertices is None
+    with pytest.raises(ValueError, match=r"upstream: expected shape \(3, 12, 16\)"):
+        pull_back(U[:1])
+
+
 @pytest.mark.parametrize("function", ["silhouette", "silhouette_gradients"])
 def test_python_goes_on_while_the_extension_draws(function, drone):
     camera = Camera.from_fov(320, 240, horizontal_deg=64.69)

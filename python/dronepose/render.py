@@ -25,7 +25,7 @@ Four kinds of silhouettes (``mode``):
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +48,7 @@ from dronepose.mesh import Mesh
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-    from dronepose._softness import Mode
+    from dronepose._softness import Mode, Settings
 
     Array = NDArray[np.float64]
     Mask = NDArray[np.float32] | NDArray[np.float64]
@@ -279,8 +279,9 @@ def silhouette_vjp(
         (4.0, [[0.0, 0.0, -4.0]])
     """
     chosen = settings(mode, sigma, delta, sigma_ndc, kaolin_cutoff, pytorch3d_cutoff)
+    models, rotations, translations, cameras = _batch(mesh, camera, R, t)
     drawn = _Drawn(
-        _batch(mesh, camera, R, t, copy=True),
+        (models, rotations.copy(), translations.copy(), cameras),
         chosen,
         near,
         thread_count("threads", threads),

@@ -40,8 +40,9 @@ def silhouette_op(
     threads: int,
     traced: bool,
 ) -> Tensor:
-    """Masks ``(B, H, W)`` of the dtype and on the device of ``R``; ``traced`` where a backward pass
-    is to come.
+    """Masks ``(B, H, W)`` of the dtype and on the device of ``R``.
+
+    With ``traced``, their outlines wait for the backward pass.
     """
     batch = _batch(vertices, faces, R, t, K)
     out = BUFFERS.empty((R.shape[0], height, width), _numpy_dtype(R))
