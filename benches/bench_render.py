@@ -59,10 +59,8 @@ def work_of(scene: Scene, name: str, backward: bool, threads: int) -> Callable[[
         return render.silhouette(*arguments, **MODES[name], out=out, threads=threads)
 
     def both() -> Any:
-        forward()
-        return render.silhouette_gradients(
-            *arguments, scene.upstream, **MODES[name], vertices=False, threads=threads
-        )
+        _masks, pull_back = render.silhouette_vjp(*arguments, **MODES[name], threads=threads)
+        return pull_back(scene.upstream, vertices=False)
 
     return both if backward else forward
 

@@ -50,6 +50,7 @@ pub(super) struct Pairs {
     crossed: Lanes,
     /// For each other piece: by how much it changes the layers where it crosses, 0 if it does not.
     change: [Lanes; MOST],
+    events: Events,
 }
 
 impl Default for Pairs {
@@ -70,19 +71,32 @@ impl Default for Pairs {
             layers: zero,
             crossed: zero,
             change: [zero; MOST],
+            events: Events::default(),
         }
     }
 }
 
 /// Where layers change along a line, in order.
+#[derive(Debug, Clone, Default)]
 struct Events {
     list: [(f64, f64); MOST],
     count: usize,
 }
 
 impl Events {
-    fn new() -> Self {
-        Self { list: [(0.0, 0.0); MOST], count: 0 }
+    /// Where pieces come in (`first`) and go out (`last`) through a side.
+    #[inline(always)]
+    fn through(&mut self, pieces: &[Piece], first: u8, last: u8, sign: f64) -> &Self {
+        self.count = 0;
+        for p in pieces {
+            // At most one of the two: an edge meets a vertical line once.
+            if p.flags & first != 0 {
+                self.add(p.y0, sign * f64::from(p.step));
+            } else if p.flags & last != 0 {
+                self.add(p.y1, -sign * f64::from(p.step));
+            }
+        }
+        self
     }
 
     #[inline(always)]
@@ -119,22 +133,23 @@ impl Pairs {
         if !clear {
             return None;
         }
-        let Rectangle { left, right, .. } = rectangle;
-        let (mut at_left, mut at_right) = (f64::from(layers), f64::from(layers));
-        let mut sides = 0;
+        let Rectangle { left, right, top, bottom } = rectangle;
+        let (mut at_right, mut sides) = (f64::from(layers), 0);
         for p in pieces {
             sides |= p.flags;
             at_right += if p.flags & TOP == 0 { 0.0 } else { f64::from(p.step) };
         }
-        let mut area = right
-            * if sides & (RIGHT_0 | RIGHT_1) == 0 {
-                side(rectangle, at_right, &Events::new())
-            } else {
-                side(rectangle, at_right, &crossings(pieces, RIGHT_0, RIGHT_1, 1.0))
-            };
+        let mut events = std::mem::take(&mut self.events);
+        let mut area = if sides & (RIGHT_0 | RIGHT_1) != 0 {
+            right * side(rectangle, at_right, events.through(pieces, RIGHT_0, RIGHT_1, 1.0))
+        } else if at_right > 0.0 {
+            right * (bottom - top)
+        } else {
+            0.0
+        };
         if left != 0.0 {
-            at_left = side(rectangle, at_left, &crossings(pieces, LEFT_0, LEFT_1, -1.0));
-            area -= left * at_left;
+            let events = events.through(pieces, LEFT_0, LEFT_1, -1.0);
+            area -= left * side(rectangle, f64::from(layers), events);
         }
         for (i, p) in pieces.iter().enumerate() {
             if self.crossed[i] == 0.0 {
@@ -145,9 +160,10 @@ impl Pairs {
                     visible(p, height, 0.5 * (p.y0 + p.y1));
                 }
             } else {
-                area += self.in_parts(i, p, &mut visible);
+                area += self.in_parts(i, p, &mut events, &mut visible);
             }
         }
+        self.events = events;
         Some(area)
     }
 
@@ -173,8 +189,14 @@ impl Pairs {
     }
 
     /// A piece that others cross: the area to the left of what is visible.
-    fn in_parts(&self, i: usize, p: &Piece, visible: &mut impl FnMut(&Piece, f64, f64)) -> f64 {
-        let mut events = Events::new();
+    fn in_parts(
+        &self,
+        i: usize,
+        p: &Piece,
+        events: &mut Events,
+        visible: &mut impl FnMut(&Piece, f64, f64),
+    ) -> f64 {
+        events.count = 0;
         for (j, change) in self.change[..self.count].iter().enumerate() {
             if change[i] != 0.0 {
                 events.add(self.crossing(i, j), change[i]);
@@ -227,21 +249,6 @@ fn side(Rectangle { top, bottom, .. }: Rectangle, mut layers: f64, events: &Even
         from = y;
     }
     covered + if layers > 0.0 { bottom - from } else { 0.0 }
-}
-
-/// Where pieces come in (`first`) and go out (`last`) through a side.
-#[inline(always)]
-fn crossings(pieces: &[Piece], first: u8, last: u8, sign: f64) -> Events {
-    let mut events = Events::new();
-    for p in pieces {
-        // At most one of the two: an edge meets a vertical line once.
-        if p.flags & first != 0 {
-            events.add(p.y0, sign * f64::from(p.step));
-        } else if p.flags & last != 0 {
-            events.add(p.y1, -sign * f64::from(p.step));
-        }
-    }
-    events
 }
 
 /// The kernel; false if two pieces are too close to each other.
