@@ -5,8 +5,12 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
-#[cfg(target_arch = "x86_64")]
-use super::avx512;
+// A build for one processor that has AVX-512 leaves out the attributes that make it safe to call.
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
+use super::avx512::draw as draw_wide;
+#[cfg(all(target_arch = "x86_64", target_feature = "avx512f"))]
+use draw as draw_wide;
+
 use super::setup::{Prepared, Record};
 use super::{Fragment, Surface};
 use crate::error::Result;
@@ -184,7 +188,7 @@ fn fill(
         let start = (first - top) as usize * stride + left as usize;
         let planes = (&mut nearness[start..], &mut ids[start..]);
         multiversion::target::match_target! {
-            "x86_64+avx512f+avx512vl" => avx512::draw(record, [first, end], stride, planes),
+            "x86_64+avx512f+avx512vl" => draw_wide(record, [first, end], stride, planes),
             _ => draw(record, [first, end], stride, planes),
         }
     }

@@ -25,7 +25,7 @@
     reason = "loops over lanes have to be compiled for the wide registers, and without branches"
 )]
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
 mod avx512;
 mod band;
 pub mod coverage;
