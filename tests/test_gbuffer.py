@@ -109,6 +109,25 @@ def test_barycentrics_depth_and_pixel_centres_agree(seed):
     np.testing.assert_allclose(seen.barycentrics[seen.mask].sum(-1), 1, rtol=1e-12)
 
 
+def test_memory_that_is_used_again_holds_nothing_old():
+    mesh = quadrotor()
+    channels = (*FLOATS, "coverage")
+    camera = Camera(250, 250, 160, 120, width=320, height=240)
+    R, t = pose(np.random.default_rng(3), 0.6)
+    away = [0.0, 0.0, -5.0]
+    first = gbuffer(mesh, camera, [R] * 4, [t] * 4, channels=channels)
+    kept = {name: getattr(first, name).copy() for name in channels}
+    others = [gbuffer(mesh, camera, [R] * 4, [away] * 4, channels=channels) for _ in range(2)]
+    for name in channels:  # nothing is seen, and what is still referred to stays
+        np.testing.assert_array_equal(getattr(first, name), kept[name])
+        empty = -1 if name in ("face", "object") else 0
+        assert all((getattr(other, name) == empty).all() for other in others)
+    del first, others
+    drawn = gbuffer(mesh, camera, [R] * 4, [t] * 4, channels=channels)
+    for name in channels:
+        np.testing.assert_array_equal(getattr(drawn, name), kept[name])
+
+
 def test_vertices_are_where_opencv_projects_them():
     cv2 = pytest.importorskip("cv2")
     rng = np.random.default_rng(5)

@@ -1,4 +1,4 @@
-"""Memory for masks that is used again.
+"""Memory for images that is used again.
 
 A fresh batch of 64 x 240 x 320 float32 costs more in page faults than drawing into it, so memory of
 arrays that nobody refers to any more is kept, up to a limit, and handed out again.

@@ -9,6 +9,7 @@ import numpy as np
 
 from dronepose import _native
 from dronepose._arrays import batch_of, floats, rows
+from dronepose._buffers import BUFFERS
 from dronepose.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -229,7 +230,8 @@ def gbuffer(
 
     A z-buffer in float64 over all meshes of a view. Both sides of a triangle are seen; a triangle
     holds its edges and corners, one without area holds nothing. Of meshes at the same depth the
-    first is seen, and of its faces that of the lowest index. Faces are cut at the near plane.
+    first is seen, and of its faces that of the lowest index. Faces are cut at the near plane. The
+    memory of earlier results is used again when nothing refers to it any more.
 
     Args:
         mesh: One mesh, or several ``M`` that are drawn into each image together.
@@ -292,27 +294,40 @@ def gbuffer(
         if has_values and name not in wanted:
             wanted.append(name)  # type: ignore[arg-type]
     batch, (flat_R, flat_t) = _poses(len(meshes) if several else None, R=R, t=t)
-    planes = _native.gbuffer(
+    double = _double(dtype)
+    intrinsics = _camera(camera, "camera")
+    image = (len(flat_R) // len(meshes), camera.height, camera.width)
+    width = next((v.shape[1] for v in given["attributes"] if v is not None), 0)
+    channel_counts = {
+        "barycentrics": 3,
+        "normal": 3,
+        "attributes": width,
+        "uv": 2,
+        "coverage_each": len(meshes),
+    }
+    kinds = {"mask": np.bool_, "object": np.int32, "face": np.int32}
+    planes = {}
+    for name in wanted:
+        tail = (channel_counts[name],) if name in channel_counts else ()
+        kind = kinds.get(name, np.float64 if double else np.float32)
+        planes[str(name)] = BUFFERS.empty((*image, *tail), kind)
+    _native.gbuffer(
         [m._native for m in meshes],
-        _camera(camera, "camera"),
+        intrinsics,
         flat_R,
         flat_t,
-        [str(name) for name in wanted],
+        planes,
         _NORMALS[normals],
         given["attributes"],
         given["uv"],
         samples,
         _near(near),
-        _double(dtype),
+        double,
         threads,
     )
-    shaped = {
-        name: None if plane is None else plane.reshape(*batch, *plane.shape[1:])
-        for name, plane in planes.items()
-    }
-    coverage = shaped["coverage"]
-    if coverage is not None and "coverage_each" in wanted:
-        shaped["coverage"] = np.moveaxis(coverage, -1, -3)
+    shaped = {name: plane.reshape(*batch, *plane.shape[1:]) for name, plane in planes.items()}
+    if "coverage_each" in shaped:
+        shaped["coverage"] = np.moveaxis(shaped.pop("coverage_each"), -1, -3)
     return GBuffer(**shaped)
 
 

@@ -240,7 +240,7 @@ def gbuffer(
     camera: _Camera,
     R: NDArray[float64],
     t: NDArray[float64],
-    channels: list[str],
+    planes: dict[str, NDArray[Any]],
     normals: str,
     attributes: list[NDArray[float64] | None],
     uv: list[NDArray[float64] | None],
@@ -248,8 +248,8 @@ def gbuffer(
     near: float | None,
     double: bool,
     threads: int,
-) -> dict[str, NDArray[Any] | None]:
-    """The planes named in ``channels``, ``(B, H, W, ...)``, by name."""
+) -> None:
+    """Write the planes by name, ``(B, H, W, ...)``."""
 
 def flow(
     meshes: list[Mesh],

@@ -1,6 +1,6 @@
 //! The inner loop of a band with the masks of AVX-512: about half the time of the plain loop.
 
-use super::setup::Record;
+use super::setup::{Record, Sides};
 use std::arch::x86_64::{
     __m256i, __m512d, _CMP_GE_OQ, _CMP_GT_OQ, _CMP_LT_OQ, _mm_cvtsd_f64, _mm_unpackhi_pd,
     _mm256_castpd256_pd128, _mm256_extract_epi32, _mm256_extractf128_pd, _mm256_mask_mov_epi32,
@@ -69,9 +69,6 @@ pub(super) fn draw(
 ) {
     let [left, right] = record.columns;
     let all = |x: f64| _mm512_set1_pd(x);
-    let zero = all(0.0);
-    let (base, d1, d2) =
-        (all(record.nearness[0]), all(record.nearness[1]), all(record.nearness[2]));
     let (low, high) = (all(record.range[0]), all(record.range[1]));
     let id = _mm256_set1_epi32(record.id.cast_signed());
     let lanes = _mm512_setr_pd(0.5, 1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5);
@@ -79,26 +76,25 @@ pub(super) fn draw(
     while column < right {
         let x = _mm512_add_pd(all(f64::from(column)), lanes);
         let inside = _mm512_cmp_pd_mask::<_CMP_LT_OQ>(x, all(f64::from(right)));
-        let ua = _mm512_sub_pd(all(record.u[0]), x);
-        let ub = _mm512_sub_pd(all(record.u[1]), x);
-        let uc = _mm512_sub_pd(all(record.u[2]), x);
+        let x0 = _mm512_sub_pd(x, all(record.u[0]));
+        let x1 = _mm512_sub_pd(x, all(record.u[1]));
+        let a = _mm512_mul_pd(all(record.dv[0]), x0);
+        let b = _mm512_mul_pd(all(record.dv[1]), x0);
+        let c = _mm512_mul_pd(all(record.dv[2]), x1);
+        let base =
+            _mm512_add_pd(all(record.nearness[0]), _mm512_mul_pd(all(record.nearness[1]), x0));
         let mut start = (column - left) as usize;
         for row in first..end {
-            let v = f64::from(row) + 0.5;
-            let (va, vb, vc) = (all(record.v[0] - v), all(record.v[1] - v), all(record.v[2] - v));
-            let e0 = _mm512_sub_pd(_mm512_mul_pd(ub, vc), _mm512_mul_pd(vb, uc));
-            let e1 = _mm512_sub_pd(_mm512_mul_pd(uc, va), _mm512_mul_pd(vc, ua));
-            let e2 = _mm512_sub_pd(_mm512_mul_pd(ua, vb), _mm512_mul_pd(va, ub));
-            let w =
-                _mm512_add_pd(_mm512_add_pd(base, _mm512_mul_pd(e1, d1)), _mm512_mul_pd(e2, d2));
+            let Sides(side) = record.row(f64::from(row) + 0.5);
+            let w = _mm512_add_pd(base, all(side[3]));
             let w = _mm512_min_pd(_mm512_max_pd(w, low), high);
             // Rows have room for the lanes beyond their last column.
             let Some(out) = nearness[start..].first_chunk_mut::<8>() else { return };
             let Some(out_ids) = ids[start..].first_chunk_mut::<8>() else { return };
             let old = load(out);
-            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(inside, e0, zero);
-            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, e1, zero);
-            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, e2, zero);
+            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(inside, all(side[0]), a);
+            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, all(side[1]), b);
+            let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, all(side[2]), c);
             let seen = _mm512_mask_cmp_pd_mask::<_CMP_GT_OQ>(seen, w, old);
             store(_mm512_mask_mov_pd(old, seen, w), out);
             store_ids(_mm256_mask_mov_epi32(load_ids(out_ids), seen, id), out_ids);

@@ -4,12 +4,16 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use multiversion::multiversion;
-use rayon::prelude::*;
 
-#[cfg(target_arch = "x86_64")]
-use super::avx512;
-use super::setup::{Prepared, Record, edge};
+// A build for one processor that has AVX-512 leaves out the attributes that make it safe to call.
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
+use super::avx512::draw as draw_wide;
+#[cfg(all(target_arch = "x86_64", target_feature = "avx512f"))]
+use draw as draw_wide;
+
+use super::setup::{Prepared, Record};
 use super::{Fragment, Surface};
+use crate::error::Result;
 use crate::raster::Size;
 
 /// Samples of a row that are drawn together.
@@ -49,15 +53,37 @@ pub(super) fn band_rows(size: Size, unit: usize) -> usize {
     (samples / size.width / unit).max(1) * unit
 }
 
-/// Draw an image of `size` samples band by band and hand each band with its piece to `resolve`;
-/// the pieces are those of [`band_rows`], in order.
+/// Work on each of a range with its part of a piece, in parallel, without a list of the parts;
+/// `cut` takes those of the first so many off a piece. The error is that of the first that has one.
+pub(super) fn for_each<P: Send>(
+    range: Range<usize>,
+    piece: P,
+    cut: &(impl Fn(P, usize) -> (P, P) + Sync),
+    work: &(impl Fn(usize, P) -> Result<()> + Sync),
+) -> Result<()> {
+    let Range { start, end } = range;
+    if end - start <= 1 {
+        return if start < end { work(start, piece) } else { Ok(()) };
+    }
+    let middle = start.midpoint(end);
+    let (head, tail) = cut(piece, middle - start);
+    let (head, tail) = rayon::join(
+        || for_each(start..middle, head, cut, work),
+        || for_each(middle..end, tail, cut, work),
+    );
+    head.and(tail)
+}
+
+/// Draw an image of `size` samples in bands of so many rows and hand each band to `resolve`, with
+/// its part of the piece; `cut` takes the part of so many samples off a piece.
 pub(super) fn draw_bands<P: Send>(
     prepared: &Prepared,
     (size, rows): (Size, usize),
-    pieces: Vec<P>,
+    piece: P,
+    cut: impl Fn(P, usize) -> (P, P) + Sync,
     resolve: impl Fn(&Band<'_>, &mut Vec<Fragment>, P) + Sync,
-) {
-    let one = |(k, piece): (usize, P)| {
+) -> Result<()> {
+    let one = |k: usize, piece: P| {
         let mut scratch = SCRATCHES.with_borrow_mut(Vec::pop).unwrap_or_default();
         let band = k * rows..((k + 1) * rows).min(size.height);
         let stride = size.width + LANES;
@@ -68,7 +94,7 @@ pub(super) fn draw_bands<P: Send>(
         }
         let Scratch { nearness, ids, fragments } = &mut scratch;
         let planes = (&mut nearness[..samples], &mut ids[..samples]);
-        let dirty = fill(&prepared.records, &prepared.rows, band.clone(), stride, planes);
+        let dirty = fill(prepared.records(), band.clone(), stride, planes);
         resolve(
             &Band { prepared, stride, rows: band, nearness, ids, dirty: &dirty },
             fragments,
@@ -80,12 +106,10 @@ pub(super) fn draw_bands<P: Send>(
             ids[samples].fill(0);
         }
         SCRATCHES.with_borrow_mut(|list| list.push(scratch));
+        Ok(())
     };
-    if pieces.len() == 1 {
-        pieces.into_iter().enumerate().for_each(one);
-    } else {
-        pieces.into_par_iter().enumerate().for_each(one);
-    }
+    let cut = |piece, bands| cut(piece, bands * rows * size.width);
+    for_each(0..size.height.div_ceil(rows), piece, &cut, &one)
 }
 
 /// The part of a band that faces may have drawn to.
@@ -144,14 +168,14 @@ impl Band<'_> {
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 fn fill(
     records: &[Record],
-    rows: &[[i32; 2]],
     band: Range<usize>,
     stride: usize,
     (nearness, ids): (&mut [f64], &mut [u32]),
 ) -> Dirty {
     let (top, bottom) = (band.start as i32, band.end as i32);
     let mut touched = [i32::MAX, 0, i32::MAX, 0];
-    for (record, &[first, end]) in records.iter().zip(rows) {
+    for record in records {
+        let [first, end] = record.rows;
         let (first, end) = (first.max(top), end.min(bottom));
         if first >= end {
             continue;
@@ -164,7 +188,7 @@ fn fill(
         let start = (first - top) as usize * stride + left as usize;
         let planes = (&mut nearness[start..], &mut ids[start..]);
         multiversion::target::match_target! {
-            "x86_64+avx512f+avx512vl" => avx512::draw(record, [first, end], stride, planes),
+            "x86_64+avx512f+avx512vl" => draw_wide(record, [first, end], stride, planes),
             _ => draw(record, [first, end], stride, planes),
         }
     }
@@ -203,19 +227,12 @@ fn draw_row(record: &Record, u: f64, v: f64, (nearness, ids): (&mut [f64], &mut 
     // Of a length that has no remainder, which the compiler can see.
     let count = nearness.len() / LANES * LANES;
     let (nearness, ids) = (&mut nearness[..count], &mut ids[..count]);
-    let [ua, ub, uc] = record.u;
-    let [va, vb, vc] = record.v.map(|corner| corner - v);
-    let [base, d1, d2] = record.nearness;
-    let [low, high] = record.range;
+    let row = record.row(v);
     let right = f64::from(record.columns[1]);
     for k in 0..count {
         let x = u + f64::from(k as i32);
-        let (a, b, c) = ([ua - x, va], [ub - x, vb], [uc - x, vc]);
-        let (e0, e1, e2) = (edge(b, c), edge(c, a), edge(a, b));
-        let w = base + e1 * d1 + e2 * d2;
-        let w = if w < low { low } else { w };
-        let w = if w > high { high } else { w };
-        let seen = (e0 >= 0.0) & (e1 >= 0.0) & (e2 >= 0.0) & (x < right) & (w > nearness[k]);
+        let (inside, w) = record.meet(record.column(x), row);
+        let seen = inside & (x < right) & (w > nearness[k]);
         nearness[k] = if seen { w } else { nearness[k] };
         ids[k] = if seen { record.id } else { ids[k] };
     }
@@ -249,8 +266,9 @@ mod tests {
             let n = stride * 20;
             let (mut fast, mut plain) = ((vec![0.0; n], vec![0; n]), (vec![0.0; n], vec![0; n]));
             let planes = (fast.0.as_mut_slice(), fast.1.as_mut_slice());
-            fill(&prepared.records, &prepared.rows, 5..25, stride, planes);
-            for (record, &[first, end]) in prepared.records.iter().zip(&prepared.rows) {
+            fill(prepared.records(), 5..25, stride, planes);
+            for record in prepared.records() {
+                let [first, end] = record.rows;
                 let (first, end) = (first.max(5), end.min(25));
                 if first < end {
                     let start = (first - 5) as usize * stride + record.columns[0] as usize;

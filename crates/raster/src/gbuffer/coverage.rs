@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::setup::Keep;
-use super::{Scenes, band, pieces};
+use super::{Scenes, band};
 use crate::error::{Error, Result};
 use crate::raster::{Pixel, Size};
 
@@ -53,11 +53,9 @@ pub fn draw<T: Pixel>(
             let set_up = (fine, samples as f64, Keep::Centres);
             prepared.prepare(scenes.surfaces, views, scenes.near(), set_up)?;
             let rows = band::band_rows(fine, samples);
-            let mut rest = Some(out);
-            let pieces = pieces(fine, rows, |fine| {
-                super::split(&mut rest, fine / (samples * samples) * channels).unwrap_or_default()
-            });
-            band::draw_bands(prepared, (fine, rows), pieces, |band, _, piece| {
+            let of = |fine: usize| fine / (samples * samples) * channels;
+            let cut = |out, fine| <[T]>::split_at_mut(out, of(fine));
+            band::draw_bands(prepared, (fine, rows), out, cut, |band, _, piece| {
                 let width = scenes.size.width * channels;
                 for (row, out) in piece.chunks_exact_mut(width).enumerate() {
                     out.fill(T::default());
@@ -80,8 +78,7 @@ pub fn draw<T: Pixel>(
                         *share = T::from_f64(share.to_f64() / all);
                     }
                 }
-            });
-            Ok(())
+            })
         })
     })
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::setup::{Keep, Prepared};
 use super::tiles::Tiles;
-use super::{Fragment, Scenes, band, pieces, split};
+use super::{Fragment, Scenes, band};
 use crate::camera::Intrinsics;
 use crate::error::{Error, Result};
 use crate::raster::{Pixel, Size, View};
@@ -191,44 +191,55 @@ impl Pairs<'_> {
             arrival(p, &second[0].camera, far)
         };
         let rows = band::band_rows(size, 1);
-        let (mut flow, mut fate) = (Some(flow), Some(fate));
-        let pieces = pieces(size, rows, |pixels| {
-            let flow = split(&mut flow, 2 * pixels).unwrap_or_default();
-            (flow, split(&mut fate, pixels).unwrap_or_default())
-        });
-        band::draw_bands(before, (size, rows), pieces, |band, fragments, (flow, fate)| {
-            let rows = flow.chunks_exact_mut(2 * size.width).zip(fate.chunks_exact_mut(size.width));
-            for (row, (flow, fate)) in rows.enumerate() {
-                let v = (band.rows.start + row) as f64 + 0.5;
-                if background.is_none() {
-                    flow.fill(T::default());
-                    fate.fill(Fate::None);
-                }
-                let mut write = |column: usize, (place, found): ([f64; 2], Fate)| {
-                    let known = !matches!(found, Fate::Behind | Fate::None);
-                    let centre = [column as f64 + 0.5, v];
-                    for k in 0..2 {
-                        let moved = if known { place[k] - centre[k] } else { 0.0 };
-                        flow[2 * column + k] = T::from_f64(moved);
+        band::draw_bands(
+            before,
+            (size, rows),
+            (flow, fate),
+            cut,
+            |band, fragments, (flow, fate)| {
+                let rows =
+                    flow.chunks_exact_mut(2 * size.width).zip(fate.chunks_exact_mut(size.width));
+                for (row, (flow, fate)) in rows.enumerate() {
+                    let v = (band.rows.start + row) as f64 + 0.5;
+                    if background.is_none() {
+                        flow.fill(T::default());
+                        fate.fill(Fate::None);
                     }
-                    fate[column] = found;
-                };
-                band.fragments(row, surfaces, fragments);
-                if let Some(background) = &background {
-                    let mut seen = fragments.iter().map(|f| f.column).peekable();
-                    for column in 0..size.width {
-                        if seen.next_if_eq(&column).is_none() {
-                            write(column, behind(background, [column as f64 + 0.5, v]));
+                    let mut write = |column: usize, (place, found): ([f64; 2], Fate)| {
+                        let known = !matches!(found, Fate::Behind | Fate::None);
+                        let centre = [column as f64 + 0.5, v];
+                        for k in 0..2 {
+                            let moved = if known { place[k] - centre[k] } else { 0.0 };
+                            flow[2 * column + k] = T::from_f64(moved);
+                        }
+                        fate[column] = found;
+                    };
+                    band.fragments(row, surfaces, fragments);
+                    if let Some(background) = &background {
+                        let mut seen = fragments.iter().map(|f| f.column).peekable();
+                        for column in 0..size.width {
+                            if seen.next_if_eq(&column).is_none() {
+                                write(column, behind(background, [column as f64 + 0.5, v]));
+                            }
                         }
                     }
+                    for f in &*fragments {
+                        write(f.column, seen(f));
+                    }
                 }
-                for f in &*fragments {
-                    write(f.column, seen(f));
-                }
-            }
-        });
-        Ok(())
+            },
+        )
     }
+}
+
+/// Flow and fate of pixels.
+type Planes<'a, T> = (&'a mut [T], &'a mut [Fate]);
+
+/// Those of the first so many pixels, and of the rest.
+fn cut<T>((flow, fate): Planes<'_, T>, pixels: usize) -> (Planes<'_, T>, Planes<'_, T>) {
+    let (flow, rest) = flow.split_at_mut(2 * pixels);
+    let (fate, last) = fate.split_at_mut(pixels);
+    ((flow, fate), (rest, last))
 }
 
 #[cfg(test)]

@@ -25,7 +25,7 @@
     reason = "loops over lanes have to be compiled for the wide registers, and without branches"
 )]
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
 mod avx512;
 mod band;
 pub mod coverage;
@@ -39,8 +39,6 @@ mod setup;
 #[cfg(test)]
 mod tests;
 mod tiles;
-
-use rayon::prelude::*;
 
 pub use self::fragment::Fragment;
 use self::setup::Keep;
@@ -114,8 +112,6 @@ pub struct GBuffer<'a, T> {
     pub attributes: Option<&'a mut [T]>,
     /// Interpolated texture coordinates, two channels.
     pub uv: Option<&'a mut [T]>,
-    /// The planes hold zeros already: zeros need not be written.
-    pub zeroed: bool,
 }
 
 /// The first `count` entries of a plane, which keeps the rest.
@@ -125,7 +121,29 @@ fn split<'a, X>(plane: &mut Option<&'a mut [X]>, count: usize) -> Option<&'a mut
     Some(head)
 }
 
-impl<T> GBuffer<'_, T> {
+impl<T: Pixel> GBuffer<'_, T> {
+    /// Nothing anywhere.
+    fn clear(&mut self) {
+        if let Some(mask) = &mut self.mask {
+            mask.fill(false);
+        }
+        for ids in [&mut self.object, &mut self.face].into_iter().flatten() {
+            ids.fill(-1);
+        }
+        for plane in [
+            &mut self.depth,
+            &mut self.barycentrics,
+            &mut self.normal,
+            &mut self.attributes,
+            &mut self.uv,
+        ]
+        .into_iter()
+        .flatten()
+        {
+            plane.fill(T::default());
+        }
+    }
+
     /// Whether no plane is there.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -147,7 +165,6 @@ impl<T> GBuffer<'_, T> {
             normal: split(&mut self.normal, 3 * pixels),
             attributes: split(&mut self.attributes, channels * pixels),
             uv: split(&mut self.uv, 2 * pixels),
-            zeroed: self.zeroed,
         }
     }
 
@@ -252,7 +269,7 @@ impl Scenes<'_> {
     ///
     /// # Panics
     /// If a plane has another length.
-    pub fn draw<T: Pixel>(&self, normals: Normals, mut out: GBuffer<'_, T>) -> Result<()> {
+    pub fn draw<'a, T: Pixel>(&self, normals: Normals, out: GBuffer<'a, T>) -> Result<()> {
         self.check()?;
         let smooth = out.normal.is_some() && normals == Normals::Smooth;
         if smooth && self.surfaces.iter().any(|s| s.normals.is_none()) {
@@ -260,29 +277,21 @@ impl Scenes<'_> {
         }
         let (channels, pixels) = (self.attribute_channels(), self.size.pixels());
         out.assert_lengths(self.images() * pixels, channels);
-        let images: Vec<_> = self
-            .views
-            .chunks_exact(self.surfaces.len())
-            .map(|views| (views, out.split(pixels, channels)))
-            .collect();
-        images.into_par_iter().try_for_each(|(views, mut out)| {
+        let cut = |mut out: GBuffer<'a, T>, pixels: usize| (out.split(pixels, channels), out);
+        let image = |image: usize, out: GBuffer<'a, T>| {
+            let count = self.surfaces.len();
+            let views = &self.views[image * count..(image + 1) * count];
             band::with_prepared(|prepared| {
                 let set_up = (self.size, 1.0, Keep::Centres);
                 prepared.prepare(self.surfaces, views, self.near(), set_up)?;
-                let rows = band::band_rows(self.size, 1);
-                let pieces = pieces(self.size, rows, |pixels| out.split(pixels, channels));
-                band::draw_bands(prepared, (self.size, rows), pieces, |band, fragments, piece| {
+                let rows = (self.size, band::band_rows(self.size, 1));
+                band::draw_bands(prepared, rows, out, cut, |band, fragments, out| {
                     let surfaces = (self.surfaces, views);
-                    resolve::resolve(band, surfaces, (normals, channels), fragments, piece);
-                });
-                Ok(())
+                    resolve::resolve(band, surfaces, (normals, channels), fragments, out);
+                })
             })
-        })
+        };
+        let cut_images = |out, images: usize| cut(out, images * pixels);
+        band::for_each(0..self.images(), out, &cut_images, &image)
     }
-}
-
-/// The output of an image, cut into bands of so many rows.
-fn pieces<P>(size: Size, rows: usize, mut next: impl FnMut(usize) -> P) -> Vec<P> {
-    let starts = (0..size.height).step_by(rows);
-    starts.map(|start| next(rows.min(size.height - start) * size.width)).collect()
 }

@@ -115,7 +115,6 @@ pub(super) fn planes<T: Pixel>(scenes: &Scenes<'_>, normals: Normals) -> Planes<
         normal: Some(&mut p.normal),
         attributes: Some(&mut p.attributes),
         uv: Some(&mut p.uv),
-        zeroed: false,
     };
     scenes.draw(normals, out).expect("drawn");
     p

@@ -1,9 +1,8 @@
 //! Faces ready to be drawn: those that can hold the centre of a pixel, as edge functions and an
 //! affine function for the nearness `1/z`.
 //!
-//! The corners of a face begin with the first by its image point and go round one way. So faces over
-//! the same three points have the same numbers, whatever their winding, and the lowest index wins
-//! exactly.
+//! The corners of a face are sorted by their image points. So faces over the same three points have
+//! the same numbers, whatever their winding, and the lowest index wins exactly.
 
 use multiversion::multiversion;
 
@@ -14,39 +13,72 @@ use crate::raster::{Screen, Size, View};
 /// Faces that are set up together.
 const LANES: usize = 64;
 
-/// A face in the image. Corner 0 is the first by `(u, v)`; 1 and 2 follow so that the signed area
-/// is positive.
+/// A face in the image. Its corners are sorted by `(u, v)`, and its edges go from the first to the
+/// second, from the first to the third and from the second to the third.
+///
+/// With the ends sorted, the two faces of an edge compare the same two numbers at a point, so that
+/// at least one of them holds it.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Record {
-    /// Corners in samples (pixels times the samples along a side).
-    pub(super) u: [f64; 3],
-    pub(super) v: [f64; 3],
-    /// `1/z` is `nearness[0] + nearness[1] e1 + nearness[2] e2` with the edge functions opposite
-    /// to the corners 1 and 2.
+    /// The first two corners in samples (pixels times the samples along a side).
+    pub(super) u: [f64; 2],
+    pub(super) v: [f64; 2],
+    /// Along the edges, all three turned round where the corners go the other way: the face holds
+    /// the points with `du (y - v) >= dv (x - u)` for each edge, from where it starts.
+    pub(super) du: [f64; 3],
+    pub(super) dv: [f64; 3],
+    /// `1/z` at the first corner, and its change per column and per row.
     pub(super) nearness: [f64; 3],
     /// Smallest and largest `1/z` of the corners.
     pub(super) range: [f64; 2],
     /// First column and the one after the last.
     pub(super) columns: [i32; 2],
+    /// First row and the one after the last.
+    pub(super) rows: [i32; 2],
     /// 1 + the place of the face among the faces of all screens.
     pub(super) id: u32,
 }
 
+/// What a record compares at the samples of a column and of a row: the sample at both is in the
+/// face where each of the first three numbers of the row is at least that of the column, and has
+/// the sum of the fourth as its `1/z`, once that is clamped.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Sides(pub(super) [f64; 4]);
+
 impl Record {
+    /// Those of the column at `x`.
+    #[inline(always)]
+    pub(super) fn column(&self, x: f64) -> Sides {
+        let x = [x - self.u[0], x - self.u[1]];
+        let [a, b, c] = self.dv;
+        Sides([a * x[0], b * x[0], c * x[1], self.nearness[0] + self.nearness[1] * x[0]])
+    }
+
+    /// Those of the row at `y`.
+    #[inline(always)]
+    pub(super) fn row(&self, y: f64) -> Sides {
+        let y = [y - self.v[0], y - self.v[1]];
+        let [a, b, c] = self.du;
+        Sides([a * y[0], b * y[0], c * y[1], self.nearness[2] * y[0]])
+    }
+
+    /// Whether the face holds the point, and its `1/z` there.
+    #[inline(always)]
+    pub(super) fn meet(&self, Sides(column): Sides, Sides(row): Sides) -> (bool, f64) {
+        let inside = (row[0] >= column[0]) & (row[1] >= column[1]) & (row[2] >= column[2]);
+        let w = column[3] + row[3];
+        let w = if w > self.range[0] { w } else { self.range[0] };
+        (inside, if w < self.range[1] { w } else { self.range[1] })
+    }
+
     /// `1/z` at a point of the image, if the closed triangle holds it.
     pub(super) fn at(&self, u: f64, v: f64) -> Option<f64> {
-        let d = [0, 1, 2].map(|k| [self.u[k] - u, self.v[k] - v]);
-        let e = [edge(d[1], d[2]), edge(d[2], d[0]), edge(d[0], d[1])];
-        if e.iter().any(|&e| e < 0.0) {
-            return None;
-        }
-        let [base, d1, d2] = self.nearness;
-        Some((base + e[1] * d1 + e[2] * d2).clamp(self.range[0], self.range[1]))
+        let (inside, w) = self.meet(self.column(u), self.row(v));
+        inside.then_some(w)
     }
 }
 
-/// Twice the signed area of `(0, a, b)`; exactly the negative of that of `(0, b, a)`, and so a
-/// point on the edge of two faces is in at least one of them.
+/// Twice the signed area of `(0, a, b)`; exactly the negative of that of `(0, b, a)`.
 #[inline(always)]
 pub(super) fn edge(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
@@ -68,9 +100,9 @@ pub(super) struct Prepared {
     pub(super) screens: Vec<Screen>,
     /// Where the faces of each surface start, counted over all.
     pub(super) starts: Vec<u32>,
-    pub(super) records: Vec<Record>,
-    /// First row and the one after the last of each record.
-    pub(super) rows: Vec<[i32; 2]>,
+    records: Vec<Record>,
+    /// How many of the records are those of this image.
+    used: usize,
     points: Vec<[f64; 3]>,
 }
 
@@ -84,8 +116,7 @@ impl Prepared {
         near: f64,
         (size, scale, keep): (Size, f64, Keep),
     ) -> Result<()> {
-        self.records.clear();
-        self.rows.clear();
+        self.used = 0;
         self.starts.clear();
         if self.screens.len() < surfaces.len() {
             self.screens.resize_with(surfaces.len(), Screen::default);
@@ -98,12 +129,17 @@ impl Prepared {
             let points = u.iter().zip(v).zip(z);
             self.points.extend(points.map(|((u, v), z)| [u * scale, v * scale, 1.0 / z]));
             let faces = screen.faces(surface.model);
-            let out = (&mut self.records, &mut self.rows);
+            let out = (&mut self.records, &mut self.used);
             set_up(&self.points, faces, start, (size, keep), out);
             self.starts.push(start);
             start += faces.len() as u32;
         }
         Ok(())
+    }
+
+    /// The faces that are left.
+    pub(super) fn records(&self) -> &[Record] {
+        &self.records[..self.used]
     }
 
     /// Surface and face of its screen behind the id of a record.
@@ -118,12 +154,15 @@ impl Prepared {
     }
 }
 
-/// Corners of faces, one array a number.
+/// Corners of faces and what follows from them, one array a number.
 struct Corners {
     u: [[f64; LANES]; 3],
     v: [[f64; LANES]; 3],
     w: [[f64; LANES]; 3],
-    area: [f64; LANES],
+    du: [[f64; LANES]; 3],
+    dv: [[f64; LANES]; 3],
+    nearness: [[f64; LANES]; 2],
+    range: [[f64; LANES]; 2],
     columns: [[f64; LANES]; 2],
     rows: [[f64; LANES]; 2],
     kept: [bool; LANES],
@@ -134,7 +173,10 @@ impl Corners {
         u: [[0.0; LANES]; 3],
         v: [[0.0; LANES]; 3],
         w: [[0.0; LANES]; 3],
-        area: [0.0; LANES],
+        du: [[0.0; LANES]; 3],
+        dv: [[0.0; LANES]; 3],
+        nearness: [[0.0; LANES]; 2],
+        range: [[0.0; LANES]; 2],
         columns: [[0.0; LANES]; 2],
         rows: [[0.0; LANES]; 2],
         kept: [false; LANES],
@@ -154,68 +196,95 @@ impl Corners {
         }
     }
 
-    /// Area, with corners 1 and 2 exchanged where it would be negative.
-    #[inline(always)]
-    fn orient(&mut self) {
-        for k in 0..LANES {
-            let (b, c) = (1, 2);
-            let area = (self.u[b][k] - self.u[0][k]) * (self.v[c][k] - self.v[0][k])
-                - (self.v[b][k] - self.v[0][k]) * (self.u[c][k] - self.u[0][k]);
-            let swap = area < 0.0;
-            let (ub, uc) = (self.u[b][k], self.u[c][k]);
-            let (vb, vc) = (self.v[b][k], self.v[c][k]);
-            let (wb, wc) = (self.w[b][k], self.w[c][k]);
-            (self.u[b][k], self.u[c][k]) = if swap { (uc, ub) } else { (ub, uc) };
-            (self.v[b][k], self.v[c][k]) = if swap { (vc, vb) } else { (vb, vc) };
-            (self.w[b][k], self.w[c][k]) = if swap { (wc, wb) } else { (wb, wc) };
-            self.area[k] = area.abs();
-        }
-    }
-
-    /// Columns and rows, and which faces are left; before the corners are oriented.
+    /// Columns and rows, and which faces have a sample in their box.
     #[inline(always)]
     fn bound(&mut self, size: Size, keep: Keep) {
         let (width, height) = (size.width as f64, size.height as f64);
+        let at_most = |x: f64, end: f64| if x < end { x } else { end };
+        let at_least = |x: f64, start: f64| if x > start { x } else { start };
         let shift = if keep == Keep::Centres { 0.5 } else { 0.0 };
+        let first = |low: f64| match keep {
+            Keep::Centres => at_least((low - shift).ceil(), 0.0),
+            Keep::Touched => at_least(low.floor(), 0.0),
+        };
+        let after = |high: f64, end: f64| at_most((high - shift).floor() + 1.0, end);
         for k in 0..LANES {
-            // Corner 0 is the first by u.
-            let (low_u, b, c) = (self.u[0][k], self.u[1][k], self.u[2][k]);
-            let high_u = if b > c { b } else { c };
-            let (low_v, high_v) = {
-                let [a, b, c] = [self.v[0][k], self.v[1][k], self.v[2][k]];
-                let (low, high) = if a < b { (a, b) } else { (b, a) };
-                (if c < low { c } else { low }, if c > high { c } else { high })
-            };
-            let first = |low: f64| match keep {
-                Keep::Centres => (low - shift).ceil(),
-                Keep::Touched => low.floor(),
-            };
-            let at_most = |x: f64, end: f64| if x < end { x } else { end };
-            let at_least_0 = |x: f64| if x > 0.0 { x } else { 0.0 };
-            self.columns[0][k] = at_least_0(first(low_u));
-            self.columns[1][k] = at_most((high_u - shift).floor() + 1.0, width);
-            self.rows[0][k] = at_least_0(first(low_v));
-            self.rows[1][k] = at_most((high_v - shift).floor() + 1.0, height);
+            let [a, b, c] = [self.v[0][k], self.v[1][k], self.v[2][k]];
+            let (low, high) = (at_most(at_most(a, b), c), at_least(at_least(a, b), c));
+            self.columns[0][k] = first(self.u[0][k]);
+            self.columns[1][k] = after(self.u[2][k], width);
+            self.rows[0][k] = first(low);
+            self.rows[1][k] = after(high, height);
+            self.kept[k] =
+                (self.columns[0][k] < self.columns[1][k]) & (self.rows[0][k] < self.rows[1][k]);
         }
     }
 
-    /// Leave out faces without area, without a sample in their box, and those with one sample in
-    /// their box but not inside them.
+    /// Edges and `1/z`. Leaves out faces without area, and those with one sample in their box but
+    /// not inside them.
     #[inline(always)]
-    fn choose(&mut self, keep: Keep) {
+    fn solve(&mut self, keep: Keep) {
         for k in 0..LANES {
-            let (width, height) =
-                (self.columns[1][k] - self.columns[0][k], self.rows[1][k] - self.rows[0][k]);
-            let (u, v) = (self.columns[0][k] + 0.5, self.rows[0][k] + 0.5);
-            let a = [self.u[0][k] - u, self.v[0][k] - v];
-            let b = [self.u[1][k] - u, self.v[1][k] - v];
-            let c = [self.u[2][k] - u, self.v[2][k] - v];
-            let inside = (edge(b, c) >= 0.0) & (edge(c, a) >= 0.0) & (edge(a, b) >= 0.0);
-            let several = (width > 1.0) | (height > 1.0) | (keep == Keep::Touched);
-            self.kept[k] =
-                (self.area[k] > 0.0) & (width > 0.0) & (height > 0.0) & (inside | several);
+            let u = [self.u[0][k], self.u[1][k], self.u[2][k]];
+            let v = [self.v[0][k], self.v[1][k], self.v[2][k]];
+            let w = [self.w[0][k], self.w[1][k], self.w[2][k]];
+            let du = [u[1] - u[0], u[2] - u[0], u[2] - u[1]];
+            let dv = [v[1] - v[0], v[2] - v[0], v[2] - v[1]];
+            let area = du[0] * dv[1] - dv[0] * du[1];
+            let turn = 1.0_f64.copysign(area);
+            let (du, dv) = (
+                [turn * du[0], -turn * du[1], turn * du[2]],
+                [turn * dv[0], -turn * dv[1], turn * dv[2]],
+            );
+            let (x, y) = (self.columns[0][k] + 0.5, self.rows[0][k] + 0.5);
+            let inside = (du[0] * (y - v[0]) >= dv[0] * (x - u[0]))
+                & (du[1] * (y - v[0]) >= dv[1] * (x - u[0]))
+                & (du[2] * (y - v[1]) >= dv[2] * (x - u[1]));
+            let several = (self.columns[1][k] - self.columns[0][k] > 1.0)
+                | (self.rows[1][k] - self.rows[0][k] > 1.0)
+                | (keep == Keep::Touched);
+            self.kept[k] &= (area.abs() > 0.0) & (inside | several);
+            let per_area = 1.0 / area.abs();
+            let (db, dc) = ((w[1] - w[0]) * per_area, (w[2] - w[0]) * per_area);
+            self.nearness[0][k] = -(dv[1] * db) - dv[0] * dc;
+            self.nearness[1][k] = du[1] * db + du[0] * dc;
+            let at_most = |a: f64, b: f64| if a < b { a } else { b };
+            let at_least = |a: f64, b: f64| if a > b { a } else { b };
+            self.range[0][k] = at_most(at_most(w[0], w[1]), w[2]);
+            self.range[1][k] = at_least(at_least(w[0], w[1]), w[2]);
+            for edge in 0..3 {
+                self.du[edge][k] = du[edge];
+                self.dv[edge][k] = dv[edge];
+            }
         }
     }
+
+    /// Number by number: a whole record would be put together elsewhere and copied.
+    #[inline(always)]
+    fn write(&self, k: usize, id: u32, out: &mut Record) {
+        for corner in 0..2 {
+            out.u[corner] = self.u[corner][k];
+            out.v[corner] = self.v[corner][k];
+        }
+        for edge in 0..3 {
+            out.du[edge] = self.du[edge][k];
+            out.dv[edge] = self.dv[edge][k];
+        }
+        out.nearness[0] = self.w[0][k];
+        for side in 0..2 {
+            out.nearness[1 + side] = self.nearness[side][k];
+            out.range[side] = self.range[side][k];
+            out.columns[side] = whole(self.columns[side][k]);
+            out.rows[side] = whole(self.rows[side][k]);
+        }
+        out.id = id;
+    }
+}
+
+/// Whole numbers from 0 to 2^31: the low bits of what 2^52 is added to.
+#[inline(always)]
+fn whole(x: f64) -> i32 {
+    (x + 4_503_599_627_370_496.0).to_bits() as i32
 }
 
 /// Append the faces that are left after `start` earlier ones.
@@ -225,7 +294,7 @@ fn set_up(
     faces: &[[u32; 3]],
     start: u32,
     (size, keep): (Size, Keep),
-    (records, rows): (&mut Vec<Record>, &mut Vec<[i32; 2]>),
+    (records, used): (&mut Vec<Record>, &mut usize),
 ) {
     let mut corners = Corners::EMPTY;
     let mut first = start + 1;
@@ -239,27 +308,22 @@ fn set_up(
             }
         }
         corners.sort(0, 1);
-        corners.sort(0, 2);
+        corners.sort(1, 2);
+        corners.sort(0, 1);
         corners.bound(size, keep);
-        corners.orient();
-        corners.choose(keep);
+        corners.solve(keep);
+        let (mut kept, mut count) = ([0_u8; LANES], 0);
         for k in 0..faces.len() {
-            if !corners.kept[k] {
-                continue;
-            }
-            let (u, v, w) = (&corners.u, &corners.v, &corners.w);
-            let [a, b, c] = [w[0][k], w[1][k], w[2][k]];
-            let per_area = 1.0 / corners.area[k];
-            records.push(Record {
-                u: [u[0][k], u[1][k], u[2][k]],
-                v: [v[0][k], v[1][k], v[2][k]],
-                nearness: [a, (b - a) * per_area, (c - a) * per_area],
-                range: [a.min(b).min(c), a.max(b).max(c)],
-                columns: [corners.columns[0][k] as i32, corners.columns[1][k] as i32],
-                id: first + k as u32,
-            });
-            rows.push([corners.rows[0][k] as i32, corners.rows[1][k] as i32]);
+            kept[count % LANES] = k as u8;
+            count += usize::from(corners.kept[k]);
         }
+        if records.len() < *used + LANES {
+            records.resize(2 * (*used + LANES), Record::default());
+        }
+        for (&k, out) in kept[..count].iter().zip(&mut records[*used..]) {
+            corners.write(usize::from(k) % LANES, first + u32::from(k), out);
+        }
+        *used += count;
         first += faces.len() as u32;
     }
 }

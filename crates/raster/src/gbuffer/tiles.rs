@@ -27,9 +27,9 @@ impl Tiles {
         let span = |[first, end]: [i32; 2], side: usize| {
             first as usize / side..(end as usize - 1) / side + 1
         };
-        let boxes = || prepared.records.iter().zip(&prepared.rows);
+        let boxes = || prepared.records().iter();
         let entries = |side: usize| -> usize {
-            boxes().map(|(r, &rows)| span(r.columns, side).len() * span(rows, side).len()).sum()
+            boxes().map(|r| span(r.columns, side).len() * span(r.rows, side).len()).sum()
         };
         while entries(side) > ENTRIES && side < size.width.max(size.height) {
             side *= 2;
@@ -37,8 +37,8 @@ impl Tiles {
         let columns = size.width.div_ceil(side);
         // Counted two places further on, so that filling in moves each start to its place.
         let mut starts = vec![0_u32; columns * size.height.div_ceil(side) + 2];
-        for (record, &rows) in boxes() {
-            for row in span(rows, side) {
+        for record in boxes() {
+            for row in span(record.rows, side) {
                 for column in span(record.columns, side) {
                     starts[row * columns + column + 2] += 1;
                 }
@@ -48,8 +48,8 @@ impl Tiles {
             starts[k] += starts[k - 1];
         }
         let mut records = vec![0; starts.last().map_or(0, |&n| n as usize)];
-        for (k, (record, &rows)) in boxes().enumerate() {
-            for row in span(rows, side) {
+        for (k, record) in boxes().enumerate() {
+            for row in span(record.rows, side) {
                 for column in span(record.columns, side) {
                     let next = &mut starts[row * columns + column + 1];
                     records[*next as usize] = k as u32;
@@ -57,7 +57,7 @@ impl Tiles {
                 }
             }
         }
-        let nearest = records.iter().map(|&k| prepared.records[k as usize].range[1]).collect();
+        let nearest = records.iter().map(|&k| prepared.records()[k as usize].range[1]).collect();
         Self { side, columns, starts, records, nearest }
     }
 
@@ -68,6 +68,6 @@ impl Tiles {
         let pairs = self.nearest[records.clone()].iter().zip(&self.records[records]);
         pairs
             .filter(|(nearest, _)| **nearest > nearness)
-            .any(|(_, &k)| prepared.records[k as usize].at(u, v).is_some_and(|w| w > nearness))
+            .any(|(_, &k)| prepared.records()[k as usize].at(u, v).is_some_and(|w| w > nearness))
     }
 }

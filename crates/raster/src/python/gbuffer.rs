@@ -1,15 +1,16 @@
 //! Bindings of [`crate::gbuffer`].
 //!
 //! Rows are `B * M`: image after image, in each the poses of its meshes. Shapes are prepared by
-//! `python/dronepose/_gbuffer.py`.
+//! `python/dronepose/_gbuffer.py`. Planes are written into arrays of the caller's, so that memory
+//! can be used again.
 #![expect(clippy::needless_pass_by_value, reason = "array borrows come by value")]
 #![expect(clippy::too_many_arguments, reason = "two poses are four arrays in Python")]
 #![expect(non_snake_case, reason = "R is what the field, and so the Python side, calls a rotation")]
 
-use numpy::ndarray::{Dimension, IxDyn};
+use numpy::ndarray::IxDyn;
 use numpy::{
     Element, PyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
-    PyReadonlyArray3, PyReadwriteArray,
+    PyReadonlyArray3, PyReadwriteArray, PyReadwriteArrayDyn,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -58,29 +59,30 @@ fn size((.., width, height): Camera) -> Size {
     Size { height, width }
 }
 
-/// Zeros of `NumPy`, which may take huge pages for them and leaves pages alone that stay zero.
-struct Plane<'py, X: Element>(Bound<'py, PyArrayDyn<X>>);
+/// A plane to be written to.
+type Plane<'py, X> = Option<PyReadwriteArrayDyn<'py, X>>;
 
-impl<'py, X: Element> Plane<'py, X> {
-    fn new(py: Python<'py>, wanted: bool, shape: &[usize]) -> Option<Self> {
-        wanted.then(|| Self(PyArray::zeros(py, IxDyn(shape), false)))
+/// The plane of this name, if the caller wants it.
+fn plane<'py, X: Element>(
+    planes: &Bound<'py, PyDict>,
+    name: &str,
+    shape: &[usize],
+) -> PyResult<Plane<'py, X>> {
+    let Some(found) = planes.get_item(name)? else { return Ok(None) };
+    let plane: PyReadwriteArrayDyn<'py, X> = found.extract()?;
+    if plane.as_array().shape() != shape {
+        let found = plane.as_array().shape().to_vec();
+        let message = format!("{name}: expected shape {shape:?}, got {found:?}");
+        return Err(PyValueError::new_err(message));
     }
+    Ok(Some(plane))
 }
 
-/// The plane to be written to.
-fn borrowed<'py, X: Element>(
-    plane: Option<&Plane<'py, X>>,
-) -> Option<PyReadwriteArray<'py, X, IxDyn>> {
-    plane.map(|plane| plane.0.readwrite())
-}
-
-fn slice<'a, X: Element, D: Dimension>(
-    plane: &'a mut Option<PyReadwriteArray<'_, X, D>>,
-) -> PyResult<Option<&'a mut [X]>> {
+fn slice<'a, X: Element>(plane: &'a mut Plane<'_, X>) -> PyResult<Option<&'a mut [X]>> {
     Ok(plane.as_mut().map(PyReadwriteArray::as_slice_mut).transpose()?)
 }
 
-/// The planes named in `channels`, `(B, H, W, ...)`, by name.
+/// Write the planes by name, `(B, H, W, ...)`.
 #[pyfunction]
 pub(super) fn gbuffer<'py>(
     py: Python<'py>,
@@ -88,7 +90,7 @@ pub(super) fn gbuffer<'py>(
     camera: Camera,
     R: PyReadonlyArray3<'py, f64>,
     t: PyReadonlyArray2<'py, f64>,
-    channels: Vec<String>,
+    planes: Bound<'py, PyDict>,
     normals: &str,
     attributes: Vec<Option<PyReadonlyArray2<'py, f64>>>,
     uv: Vec<Option<PyReadonlyArray3<'py, f64>>>,
@@ -96,11 +98,16 @@ pub(super) fn gbuffer<'py>(
     near: Option<f64>,
     double: bool,
     threads: usize,
-) -> PyResult<Bound<'py, PyDict>> {
-    let meshes = Meshes::new(py, &meshes, (&channels, normals), &attributes, &uv)?;
+) -> PyResult<()> {
+    let shaded = planes.contains("normal")?;
+    let meshes = Meshes::new(py, &meshes, (shaded, normals), &attributes, &uv)?;
     let views = views(&R, &t, camera)?;
-    let request = Request { camera, views, channels, samples, near, threads };
-    if double { request.draw::<f64>(py, &meshes) } else { request.draw::<f32>(py, &meshes) }
+    let request = Request { camera, views, samples, near, threads };
+    if double {
+        request.draw::<f64>(py, &meshes, &planes)
+    } else {
+        request.draw::<f32>(py, &meshes, &planes)
+    }
 }
 
 /// Borrowed meshes with their values.
@@ -116,7 +123,7 @@ impl<'a> Meshes<'a> {
     fn new(
         py: Python<'_>,
         meshes: &'a [PyRef<'_, PyMesh>],
-        (channels, normals): (&[String], &str),
+        (shaded, normals): (bool, &str),
         attributes: &'a [Option<PyReadonlyArray2<'_, f64>>],
         uv: &'a [Option<PyReadonlyArray3<'_, f64>>],
     ) -> PyResult<Self> {
@@ -127,7 +134,7 @@ impl<'a> Meshes<'a> {
             "angle" => Some(Weight::Angle),
             _ => return Err(PyValueError::new_err("normals: expected flat, area or angle")),
         };
-        let weight = weight.filter(|_| channels.iter().any(|c| c == "normal"));
+        let weight = weight.filter(|_| shaded);
         let of_vertices = py.detach(|| {
             models.iter().map(|m| Some(normals::of_vertices(m, weight?))).collect::<Vec<_>>()
         });
@@ -162,76 +169,61 @@ impl<'a> Meshes<'a> {
 struct Request {
     camera: Camera,
     views: Vec<View>,
-    channels: Vec<String>,
     samples: usize,
     near: Option<f64>,
     threads: usize,
 }
 
 impl Request {
-    fn draw<'py, T: Pixel + Element>(
+    fn draw<T: Pixel + Element>(
         &self,
-        py: Python<'py>,
+        py: Python<'_>,
         meshes: &Meshes<'_>,
-    ) -> PyResult<Bound<'py, PyDict>> {
+        planes: &Bound<'_, PyDict>,
+    ) -> PyResult<()> {
         let surfaces = meshes.surfaces();
         let size = size(self.camera);
         let scenes = Scenes { surfaces: &surfaces, views: &self.views, size, near: self.near };
         scenes.check()?;
-        let wanted = |name: &str| self.channels.iter().any(|c| c == name);
         let image = [scenes.images(), size.height, size.width];
         let with = |channels: usize| [image[0], image[1], image[2], channels];
-        let mask = Plane::<bool>::new(py, wanted("mask"), &image);
-        let ids = ["object", "face"].map(|name| Plane::<i32>::new(py, wanted(name), &image));
-        let depth = Plane::<T>::new(py, wanted("depth"), &image);
-        let barycentrics = Plane::<T>::new(py, wanted("barycentrics"), &with(3));
-        let normal = Plane::<T>::new(py, wanted("normal"), &with(3));
+        let mut mask = plane::<bool>(planes, "mask", &image)?;
+        let mut object = plane::<i32>(planes, "object", &image)?;
+        let mut face = plane::<i32>(planes, "face", &image)?;
+        let mut depth = plane::<T>(planes, "depth", &image)?;
+        let mut barycentrics = plane::<T>(planes, "barycentrics", &with(3))?;
+        let mut normal = plane::<T>(planes, "normal", &with(3))?;
         let values = with(scenes.attribute_channels());
-        let attributes = Plane::<T>::new(py, wanted("attributes"), &values);
-        let uv = Plane::<T>::new(py, wanted("uv"), &with(2));
-        let each = wanted("coverage_each");
-        let share = if each { with(surfaces.len()).to_vec() } else { image.to_vec() };
-        let coverage = Plane::<T>::new(py, each || wanted("coverage"), &share);
-        {
-            let mut mask = borrowed(mask.as_ref());
-            let [mut object, mut face] = [0, 1].map(|k| borrowed(ids[k].as_ref()));
-            let mut floats = [&depth, &barycentrics, &normal, &attributes, &uv, &coverage]
-                .map(|plane| borrowed(plane.as_ref()));
-            let [depth, barycentrics, normal, attributes, uv, coverage] = &mut floats;
-            let out = GBuffer {
-                mask: slice(&mut mask)?,
-                object: slice(&mut object)?,
-                face: slice(&mut face)?,
-                depth: slice(depth)?,
-                barycentrics: slice(barycentrics)?,
-                normal: slice(normal)?,
-                attributes: slice(attributes)?,
-                uv: slice(uv)?,
-                zeroed: true,
-            };
-            let coverage = slice(coverage)?;
-            let share = if each { Share::Each } else { Share::All };
-            py.detach(|| {
-                threads::install(self.threads, || {
-                    if !out.is_empty() {
-                        scenes.draw(meshes.normals, out)?;
+        let mut attributes = plane::<T>(planes, "attributes", &values)?;
+        let mut uv = plane::<T>(planes, "uv", &with(2))?;
+        let mut coverage = plane::<T>(planes, "coverage", &image)?;
+        let mut coverage_each = plane::<T>(planes, "coverage_each", &with(surfaces.len()))?;
+        let out = GBuffer {
+            mask: slice(&mut mask)?,
+            object: slice(&mut object)?,
+            face: slice(&mut face)?,
+            depth: slice(&mut depth)?,
+            barycentrics: slice(&mut barycentrics)?,
+            normal: slice(&mut normal)?,
+            attributes: slice(&mut attributes)?,
+            uv: slice(&mut uv)?,
+        };
+        let shares =
+            [(Share::All, slice(&mut coverage)?), (Share::Each, slice(&mut coverage_each)?)];
+        py.detach(|| {
+            threads::install(self.threads, || {
+                if !out.is_empty() {
+                    scenes.draw(meshes.normals, out)?;
+                }
+                for (share, out) in shares {
+                    if let Some(out) = out {
+                        coverage::draw(&scenes, self.samples, share, out)?;
                     }
-                    coverage.map_or(Ok(()), |out| coverage::draw(&scenes, self.samples, share, out))
-                })
-            })??;
-        }
-        let planes = PyDict::new(py);
-        let [object, face] = ids;
-        planes.set_item("mask", mask.map(|p| p.0))?;
-        planes.set_item("object", object.map(|p| p.0))?;
-        planes.set_item("face", face.map(|p| p.0))?;
-        planes.set_item("depth", depth.map(|p| p.0))?;
-        planes.set_item("barycentrics", barycentrics.map(|p| p.0))?;
-        planes.set_item("normal", normal.map(|p| p.0))?;
-        planes.set_item("attributes", attributes.map(|p| p.0))?;
-        planes.set_item("uv", uv.map(|p| p.0))?;
-        planes.set_item("coverage", coverage.map(|p| p.0))?;
-        Ok(planes)
+                }
+                Ok::<_, crate::Error>(())
+            })
+        })??;
+        Ok(())
     }
 }
 

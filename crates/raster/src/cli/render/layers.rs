@@ -93,7 +93,6 @@ fn surface(scene: &Scene, frame: &Frame) -> Result<Surface> {
     let planes = GBuffer {
         depth: Some(&mut surface.depth),
         normal: Some(surface.normal.as_flattened_mut()),
-        zeroed: true,
         ..GBuffer::default()
     };
     let surfaces = [gbuffer::Surface::new(&scene.model)];
