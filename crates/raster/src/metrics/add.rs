@@ -84,6 +84,29 @@ fn sums<const P: usize>(set: &VertexSet, mut screws: [Screw; P]) -> [f64; P] {
     total
 }
 
+// A build for one processor that has AVX-512 leaves out the attributes that make those safe to call.
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
+use self::avx512 as wide;
+
+/// The loops for 16 numbers at once, where the whole build may use them.
+#[cfg(all(target_arch = "x86_64", target_feature = "avx512f"))]
+mod wide {
+    use super::{Block, CountedBlock, Screw, plain, plain_counted};
+
+    #[inline(always)]
+    pub(super) fn whole_sums<const P: usize>(blocks: &[Block], screws: &[Screw; P]) -> [f64; P] {
+        plain::<P, true, true>(blocks, screws)
+    }
+
+    #[inline(always)]
+    pub(super) fn counted_sums<const P: usize>(
+        blocks: &[CountedBlock],
+        screws: &[Screw; P],
+    ) -> [f64; P] {
+        plain_counted::<P, true>(blocks, screws)
+    }
+}
+
 /// Sum of `sqrt(s)` over whole blocks.
 #[multiversion::multiversion(targets(
     "x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma",
@@ -91,7 +114,7 @@ fn sums<const P: usize>(set: &VertexSet, mut screws: [Screw; P]) -> [f64; P] {
 ))]
 fn whole_sums<const P: usize>(blocks: &[Block], screws: &[Screw; P]) -> [f64; P] {
     multiversion::target::match_target! {
-        "x86_64+avx512f" => avx512::whole_sums(blocks, screws),
+        "x86_64+avx512f" => wide::whole_sums(blocks, screws),
         "x86_64+avx2+fma" => plain::<P, true, true>(blocks, screws),
         _ => plain::<P, FUSED, false>(blocks, screws),
     }
@@ -104,7 +127,7 @@ fn whole_sums<const P: usize>(blocks: &[Block], screws: &[Screw; P]) -> [f64; P]
 ))]
 fn counted_sums<const P: usize>(blocks: &[CountedBlock], screws: &[Screw; P]) -> [f64; P] {
     multiversion::target::match_target! {
-        "x86_64+avx512f" => avx512::counted_sums(blocks, screws),
+        "x86_64+avx512f" => wide::counted_sums(blocks, screws),
         "x86_64+avx2+fma" => plain_counted::<P, true>(blocks, screws),
         _ => plain_counted::<P, FUSED>(blocks, screws),
     }
@@ -186,7 +209,7 @@ fn fold(lanes: &[f64; LANES]) -> f64 {
     sum[0]
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
 mod avx512 {
     use std::arch::x86_64::{
         __m512d, _mm512_add_pd, _mm512_fmadd_pd, _mm512_fnmadd_pd, _mm512_mul_pd,

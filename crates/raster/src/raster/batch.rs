@@ -1,5 +1,7 @@
 //! Many images at once, in parallel, and the reduction of their gradients in a fixed order.
 
+use std::cell::RefCell;
+
 use rayon::prelude::*;
 
 use super::coverage::Trace;
@@ -63,7 +65,9 @@ struct Scratch {
 }
 
 thread_local! {
-    static SCRATCH: std::cell::RefCell<Scratch> = std::cell::RefCell::default();
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+    /// Vertex gradients of the groups.
+    static PARTS: RefCell<Vec<f64>> = const { RefCell::new(Vec::new()) };
 }
 
 /// Lend this thread's buffers. They are taken out meanwhile: a thread that waits for a part of one
@@ -207,41 +211,38 @@ impl Batch<'_> {
             })
         };
         let count = self.views.len();
+        let mut views = vec![ViewGradient::default(); count];
         if !wanted.vertices {
-            let views: Result<_> = (0..count).into_par_iter().map(|k| one(k, None)).collect();
-            return Ok(Gradients { views: views?, vertices: Vec::new() });
+            (views.par_iter_mut().enumerate())
+                .try_for_each(|(k, view)| one(k, None).map(|found| *view = found))?;
+            return Ok(Gradients { views, vertices: Vec::new() });
         }
         let length = |image: usize| 3 * self.model(image).vertex_count();
         if self.models.len() != 1 {
-            let both: Result<Vec<_>> = (0..count)
-                .into_par_iter()
-                .map(|k| {
-                    let mut vertices = vec![0.0; length(k)];
-                    Ok((one(k, Some(&mut vertices))?, vertices))
-                })
-                .collect();
-            let (views, vertices) = both?.into_iter().unzip();
+            let mut vertices: Vec<_> = (0..count).map(|k| vec![0.0; length(k)]).collect();
+            (views.par_iter_mut().zip(&mut vertices).enumerate()).try_for_each(
+                |(k, (view, vertices))| one(k, Some(vertices)).map(|found| *view = found),
+            )?;
             return Ok(Gradients { views, vertices });
         }
         let size = count.div_ceil(GROUPS).max(1);
-        let groups: Result<Vec<_>> = (0..count.div_ceil(size))
-            .into_par_iter()
-            .map(|group| {
-                let mut vertices = vec![0.0; length(0)];
-                let views: Result<Vec<_>> = (group * size..((group + 1) * size).min(count))
-                    .map(|k| one(k, Some(&mut vertices)))
-                    .collect();
-                Ok((views?, vertices))
-            })
-            .collect();
-        let mut out =
-            Gradients { views: Vec::with_capacity(count), vertices: vec![vec![0.0; length(0)]] };
-        for (views, vertices) in groups? {
-            out.views.extend(views);
-            for (sum, part) in out.vertices[0].iter_mut().zip(vertices) {
+        let mut parts = PARTS.take();
+        parts.clear();
+        parts.resize(count.div_ceil(size) * length(0), 0.0);
+        let groups = views.par_chunks_mut(size).zip(parts.par_chunks_mut(length(0).max(1)));
+        groups.enumerate().try_for_each(|(group, (views, vertices))| -> Result<()> {
+            for (k, view) in views.iter_mut().enumerate() {
+                *view = one(group * size + k, Some(&mut *vertices))?;
+            }
+            Ok(())
+        })?;
+        let mut vertices = vec![0.0; length(0)];
+        for part in parts.chunks(length(0).max(1)) {
+            for (sum, part) in vertices.iter_mut().zip(part) {
                 *sum += part;
             }
         }
-        Ok(out)
+        PARTS.set(parts);
+        Ok(Gradients { views, vertices: vec![vertices] })
     }
 }

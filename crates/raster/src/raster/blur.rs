@@ -13,36 +13,61 @@ use super::{Pixel, Size};
 /// The taps; one tap is no blur.
 #[derive(Debug, Clone)]
 pub(super) struct Kernel {
+    sigma: f64,
     taps: Vec<f64>,
 }
 
-thread_local! {
-    static CANVASES: RefCell<[Option<Box<dyn Any>>; 2]> = const { RefCell::new([None, None]) };
+/// What a blur works with.
+#[derive(Debug, Default)]
+pub(super) struct Buffers<T> {
+    /// The part of the canvas that is not 0, row by row.
+    pub(super) canvas: Vec<T>,
+    taps: Vec<T>,
+    line: Vec<T>,
 }
 
-/// Lend a buffer of this thread.
-pub(super) fn with_canvas<T: Pixel, R>(work: impl FnOnce(&mut Vec<T>) -> R) -> R {
+thread_local! {
+    static KERNEL: RefCell<Kernel> = const { RefCell::new(Kernel { sigma: 0.0, taps: Vec::new() }) };
+    static BUFFERS: RefCell<[Option<Box<dyn Any>>; 2]> = const { RefCell::new([None, None]) };
+}
+
+/// Lend the buffers of this thread.
+pub(super) fn with_buffers<T: Pixel, R>(work: impl FnOnce(&mut Buffers<T>) -> R) -> R {
     let slot = usize::from(size_of::<T>() == 8);
-    let kept = CANVASES.with_borrow_mut(|c| c[slot].take());
-    let mut canvas = kept.and_then(|c| c.downcast::<Vec<T>>().ok()).unwrap_or_default();
-    let out = work(&mut canvas);
-    CANVASES.with_borrow_mut(|c| c[slot] = Some(canvas));
+    let kept = BUFFERS.with_borrow_mut(|c| c[slot].take());
+    let mut buffers: Box<Buffers<T>> = kept.and_then(|c| c.downcast().ok()).unwrap_or_default();
+    let out = work(&mut buffers);
+    BUFFERS.with_borrow_mut(|c| c[slot] = Some(buffers));
+    out
+}
+
+/// Lend this thread's kernel, made for a standard deviation in pixels; 0 is no blur.
+pub(super) fn with_kernel<R>(sigma: f64, work: impl FnOnce(&Kernel) -> R) -> R {
+    // Taken out meanwhile: a thread that waits for bands may be given another image.
+    let mut kernel = KERNEL.replace(Kernel { sigma: 0.0, taps: Vec::new() });
+    kernel.set(sigma);
+    let out = work(&kernel);
+    KERNEL.set(kernel);
     out
 }
 
 impl Kernel {
-    /// For a standard deviation in pixels; 0 is no blur.
-    pub(super) fn new(sigma: f64) -> Self {
+    /// The kernel for a standard deviation in pixels; 0 is no blur.
+    fn set(&mut self, sigma: f64) {
+        if self.sigma == sigma && !self.taps.is_empty() {
+            return;
+        }
+        self.sigma = sigma;
+        self.taps.clear();
         if sigma <= 0.0 {
-            return Self { taps: vec![1.0] };
+            self.taps.push(1.0);
+            return;
         }
         let radius = (4.0 * sigma).ceil();
-        let taps: Vec<f64> = (0..=2 * radius as usize)
-            .map(|k| k as f64 - radius)
-            .map(|x| (-x * x / (2.0 * sigma * sigma)).exp())
-            .collect();
-        let sum: f64 = taps.iter().sum();
-        Self { taps: taps.into_iter().map(|t| t / sum).collect() }
+        let place = (0..=2 * radius as usize).map(|k| k as f64 - radius);
+        self.taps.extend(place.map(|x| (-x * x / (2.0 * sigma * sigma)).exp()));
+        let sum: f64 = self.taps.iter().sum();
+        self.taps.iter_mut().for_each(|tap| *tap /= sum);
     }
 
     /// Pixels on either side.
@@ -59,16 +84,18 @@ impl Kernel {
     /// canvas is 0.
     pub(super) fn forward<T: Pixel>(
         &self,
-        canvas: &[T],
+        Buffers { canvas, taps, line }: &mut Buffers<T>,
         rows: (usize, usize),
         columns: (usize, usize),
         size: Size,
         out: &mut [T],
     ) {
         let r = self.radius();
-        let taps: Vec<T> = self.taps.iter().map(|&t| T::from_f64(t)).collect();
+        taps.clear();
+        taps.extend(self.taps.iter().map(|&t| T::from_f64(t)));
         let width = columns.1 - columns.0;
-        let mut line = vec![T::default(); width + 2 * r];
+        line.clear();
+        line.resize(width + 2 * r, T::default());
         out.fill(T::default());
         // Image row i takes canvas rows i to i + 2 r; likewise columns.
         let last = rows.1.min(size.height);
@@ -107,23 +134,25 @@ impl Kernel {
         size: Size,
         rows: (usize, usize),
         columns: (usize, usize),
-        canvas: &mut Vec<T>,
+        Buffers { canvas, taps, line }: &mut Buffers<T>,
     ) {
         let r = self.radius();
-        let taps: Vec<T> = self.taps.iter().map(|&t| T::from_f64(t)).collect();
+        taps.clear();
+        taps.extend(self.taps.iter().map(|&t| T::from_f64(t)));
         let width = columns.1 - columns.0;
         canvas.clear();
         canvas.resize((rows.1 - rows.0) * width, T::default());
         // Canvas column c gives to image columns c - 2 r to c.
         let first = columns.0.saturating_sub(2 * r).min(size.width);
         let end = columns.1.min(size.width).max(first);
-        let mut line = vec![T::default(); end - first];
+        line.clear();
+        line.resize(end - first, T::default());
         for i in rows.0..rows.1 {
             line.fill(T::default());
             for (k, &tap) in taps.iter().enumerate() {
                 if i >= k && i - k < size.height {
                     let from = (i - k) * size.width;
-                    add_scaled(&mut line, &upstream[from + first..from + end], tap);
+                    add_scaled(line, &upstream[from + first..from + end], tap);
                 }
             }
             let target = &mut canvas[(i - rows.0) * width..][..width];
@@ -180,7 +209,9 @@ mod tests {
     fn a_part_of_the_canvas_is_blurred_as_the_whole_and_the_adjoint_is_one() {
         let size = Size { height: 9, width: 13 };
         for sigma in [0.4, 1.0, 2.5] {
-            let kernel = Kernel::new(sigma);
+            let mut kernel = Kernel { sigma: 0.0, taps: Vec::new() };
+            kernel.set(sigma);
+            let mut buffers = Buffers::default();
             let (height, width) = kernel.padded(size);
             for (rows, columns) in [
                 ((0, height), (0, width)),
@@ -196,15 +227,16 @@ mod tests {
                     }
                 }
                 let mut out = vec![1.0; size.pixels()];
-                kernel.forward(&part, rows, columns, size, &mut out);
+                buffers.canvas.clone_from(&part);
+                kernel.forward(&mut buffers, rows, columns, size, &mut out);
                 for (a, b) in out.iter().zip(slow(&kernel, &canvas, size)) {
                     assert!((a - b).abs() < 1e-14, "{a} {b}");
                 }
                 let upstream = noise(size.pixels());
-                let mut back = Vec::new();
-                kernel.adjoint(&upstream, size, rows, columns, &mut back);
+                kernel.adjoint(&upstream, size, rows, columns, &mut buffers);
+                let back = &buffers.canvas;
                 let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-                assert!((dot(&out, &upstream) - dot(&part, &back)).abs() < 1e-12);
+                assert!((dot(&out, &upstream) - dot(&part, back)).abs() < 1e-12);
             }
         }
     }

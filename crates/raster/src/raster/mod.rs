@@ -204,7 +204,7 @@ impl Mode {
     ) -> Option<Trace> {
         match *self {
             Self::Coverage { sigma } => {
-                return coverage::draw(model, screen, size, sigma, out, traced);
+                return coverage::draw_traced(model, screen, size, sigma, out, traced);
             }
             Self::Hard => hard::draw(model, screen, size, out),
             Self::Dibr { delta, cutoff } => dibr::draw(model, screen, size, delta, cutoff, out),
@@ -228,7 +228,7 @@ impl Mode {
     ) {
         match *self {
             Self::Coverage { sigma } => {
-                coverage::back(model, screen, size, sigma, upstream, trace, du, dv);
+                coverage::back_of(trace, model, screen, size, sigma, upstream, [du, dv]);
             }
             Self::Hard => {} // piecewise constant
             Self::Dibr { delta, cutoff } => {

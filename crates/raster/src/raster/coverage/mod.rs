@@ -26,7 +26,7 @@ use self::rows::{Rows, Visitor};
 use self::solver::{Sink, Solver};
 pub use self::trace::Trace;
 use self::trace::{Kind, Segment, Tracer};
-use super::blur::{self, Kernel};
+use super::blur::{self, Buffers};
 use super::outline::{Extent, Outline};
 use super::{Model, Pixel, Screen, Size};
 
@@ -76,10 +76,13 @@ fn band(extent: Extent, rows: usize, k: usize) -> Extent {
 }
 
 /// Draw the mask; every pixel of `out` is written. `sigma` in pixels.
-///
-/// With `traced`, the outline is returned too, so that [`back`] need not find it again; `None` for
-/// an image that is shared out in bands or has faces cut at the near plane.
-pub fn draw<T: Pixel>(
+pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, sigma: f64, out: &mut [T]) {
+    draw_traced(model, screen, size, sigma, out, false);
+}
+
+/// As [`draw`]. With `traced`, the outline is returned too, so that [`back_of`] need not find it
+/// again; `None` for an image that is shared out in bands or has faces cut at the near plane.
+pub(super) fn draw_traced<T: Pixel>(
     model: &Model,
     screen: &Screen,
     size: Size,
@@ -87,31 +90,33 @@ pub fn draw<T: Pixel>(
     out: &mut [T],
     traced: bool,
 ) -> Option<Trace> {
-    lend(&OUTLINE, |outline| {
-        let kernel = Kernel::new(sigma);
-        let (height, width) = kernel.padded(size);
-        outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
-        let Some(extent) = outline.extent(height, width) else {
-            out.fill(T::default());
-            return None;
-        };
-        let kind = Kind { vertices: model.vertex_count(), size, sigma };
-        let mut trace = (traced && !screen.is_clipped()).then(|| Trace::new(kind, extent));
-        if kernel.radius() == 0 {
-            let (first, last) = extent.rows;
-            out[..first * width].fill(T::default());
-            out[last * width..].fill(T::default());
-            let out = &mut out[first * width..last * width];
-            return areas(outline, extent, out, width, 0, trace);
-        }
-        blur::with_canvas(|canvas: &mut Vec<T>| {
-            let (n, m) = (extent.rows.1 - extent.rows.0, extent.columns.1 - extent.columns.0);
-            canvas.clear();
-            canvas.resize(n * m, T::default());
-            trace = areas(outline, extent, canvas, m, extent.columns.0, trace.take());
-            kernel.forward(canvas, extent.rows, extent.columns, size, out);
-        });
-        trace
+    blur::with_kernel(sigma, |kernel| {
+        lend(&OUTLINE, |outline| {
+            let (height, width) = kernel.padded(size);
+            outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
+            let Some(extent) = outline.extent(height, width) else {
+                out.fill(T::default());
+                return None;
+            };
+            let kind = Kind { vertices: model.vertex_count(), size, sigma };
+            let mut trace = (traced && !screen.is_clipped()).then(|| Trace::new(kind, extent));
+            if kernel.radius() == 0 {
+                let (first, last) = extent.rows;
+                out[..first * width].fill(T::default());
+                out[last * width..].fill(T::default());
+                let out = &mut out[first * width..last * width];
+                return areas(outline, extent, out, width, 0, trace);
+            }
+            blur::with_buffers(|buffers: &mut Buffers<T>| {
+                let (n, m) = (extent.rows.1 - extent.rows.0, extent.columns.1 - extent.columns.0);
+                let canvas = &mut buffers.canvas;
+                canvas.clear();
+                canvas.resize(n * m, T::default());
+                trace = areas(outline, extent, canvas, m, extent.columns.0, trace.take());
+                kernel.forward(buffers, extent.rows, extent.columns, size, out);
+            });
+            trace
+        })
     })
 }
 
@@ -126,22 +131,23 @@ fn areas<T: Pixel>(
 ) -> Option<Trace> {
     let rows = rows_of_band(extent);
     let edges = &outline.edges[..];
-    let paint = |band: Extent, out: &mut [T], segments: Option<&mut Vec<Segment>>| {
+    let paint = |band: Extent, out: &mut [T], trace: Option<&mut Trace>| {
         lend(&WORKER, |worker| {
-            let Worker { rows, solver, turned, .. } = worker;
+            let Worker { rows, solver, turned, segments } = worker;
             let canvas = Canvas { out, stride, origin: (band.rows.0, first), extent: band };
-            match segments {
-                None => rows.walk(edges, band, &mut Painter { canvas, solver }),
-                Some(segments) => {
-                    let tracer = Tracer { edges, solver, turned, segments };
-                    rows.walk(edges, band, &mut Both { canvas, tracer });
-                }
-            }
+            let Some(trace) = trace else {
+                rows.walk(edges, band, &mut Painter { canvas, solver });
+                return;
+            };
+            segments.clear();
+            let tracer = Tracer { edges, solver, turned, segments };
+            rows.walk(edges, band, &mut Both { canvas, tracer });
+            trace.segments.clone_from(segments);
         });
     };
     if rows == extent.rows.1 - extent.rows.0 {
         let mut trace = trace;
-        paint(extent, out, trace.as_mut().map(|t| &mut t.segments));
+        paint(extent, out, trace.as_mut());
         trace
     } else {
         let parts = out.par_chunks_mut(rows * stride).enumerate();
@@ -150,50 +156,61 @@ fn areas<T: Pixel>(
     }
 }
 
-/// Add the gradient of `sum(upstream * mask)` for image points to `du` and `dv`, with the trace of
-/// the same image or without.
-#[expect(clippy::too_many_arguments, reason = "an image, what comes in, what goes out")]
+/// Add the gradient of `sum(upstream * mask)` for image points to `du` and `dv`.
 pub fn back<T: Pixel>(
     model: &Model,
     screen: &Screen,
     size: Size,
     sigma: f64,
     upstream: &[T],
-    trace: Option<&Trace>,
     du: &mut [f64],
     dv: &mut [f64],
 ) {
-    lend(&OUTLINE, |outline| {
-        let kernel = Kernel::new(sigma);
-        let (height, width) = kernel.padded(size);
-        let extent = match trace {
-            Some(trace) => trace.extent,
-            None => {
+    back_of(None, model, screen, size, sigma, upstream, [du, dv]);
+}
+
+/// As [`back`], with the trace of the same image or without.
+pub(super) fn back_of<T: Pixel>(
+    trace: Option<&Trace>,
+    model: &Model,
+    screen: &Screen,
+    size: Size,
+    sigma: f64,
+    upstream: &[T],
+    [du, dv]: [&mut [f64]; 2],
+) {
+    blur::with_kernel(sigma, |kernel| {
+        lend(&OUTLINE, |outline| {
+            let (height, width) = kernel.padded(size);
+            let extent = if let Some(trace) = trace {
+                trace.extent
+            } else {
                 outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
                 let Some(extent) = outline.extent(height, width) else { return };
                 extent
+            };
+            let mut forces = |weights: &[T], stride: usize, first: usize| match trace {
+                Some(trace) => trace::apply(&trace.segments, weights, du, dv),
+                None => forces(outline, extent, weights, stride, first, du, dv),
+            };
+            if kernel.radius() == 0 {
+                let (first, last) = extent.rows;
+                forces(&upstream[first * width..last * width], width, 0);
+            } else {
+                blur::with_buffers(|buffers: &mut Buffers<T>| {
+                    kernel.adjoint(upstream, size, extent.rows, extent.columns, buffers);
+                    let canvas = &buffers.canvas;
+                    forces(canvas, extent.columns.1 - extent.columns.0, extent.columns.0);
+                });
             }
-        };
-        let mut forces = |weights: &[T], stride: usize, first: usize| match trace {
-            Some(trace) => trace::apply(&trace.segments, weights, du, dv),
-            None => forces(outline, extent, weights, stride, first, du, dv),
-        };
-        if kernel.radius() == 0 {
-            let (first, last) = extent.rows;
-            forces(&upstream[first * width..last * width], width, 0);
-        } else {
-            blur::with_canvas(|canvas: &mut Vec<T>| {
-                kernel.adjoint(upstream, size, extent.rows, extent.columns, canvas);
-                forces(canvas, extent.columns.1 - extent.columns.0, extent.columns.0);
-            });
-        }
-        let topology = screen.is_clipped().then_some(&*outline);
-        for gradient in [du, dv] {
-            match topology {
-                Some(outline) => outline.share(model, gradient),
-                None => model.topology().share(gradient),
+            let topology = screen.is_clipped().then_some(&*outline);
+            for gradient in [du, dv] {
+                match topology {
+                    Some(outline) => outline.share(model, gradient),
+                    None => model.topology().share(gradient),
+                }
             }
-        }
+        });
     });
 }
 

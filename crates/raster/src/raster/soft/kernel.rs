@@ -229,11 +229,17 @@ impl<R: Real> BlockSums<R> {
     }
 }
 
+// A build for one processor that has AVX-512 leaves out the attributes that make it safe to call.
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
+use self::avx512::totals as totals_wide;
+#[cfg(all(target_arch = "x86_64", target_feature = "avx512f"))]
+use totals as totals_wide;
+
 /// Sums over the lanes. A call of its own, for an instruction set of its own.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 pub(super) fn totals_single(sums: &Sums<f32>) -> [f32; 12] {
     multiversion::target::match_target! {
-        "x86_64+avx512f" => avx512::totals(sums),
+        "x86_64+avx512f" => totals_wide(sums),
         _ => totals(sums),
     }
 }
@@ -251,7 +257,7 @@ pub(super) fn totals<R: Real>(sums: &Sums<R>) -> [R; 12] {
     totals
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
 mod avx512 {
     use std::arch::x86_64::{__m512, _mm512_reduce_add_ps, _mm512_setr_ps};
 
