@@ -94,16 +94,16 @@ pub(super) fn draw_traced<T: Pixel>(
         lend(&OUTLINE, |outline| {
             let (height, width) = kernel.padded(size);
             outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
-            let Some(extent) = outline.extent(height, width) else {
+            if size.pixels() > LARGE {
+                out.par_chunks_mut(BAND * size.width).for_each(|rows| rows.fill(T::default()));
+            } else {
                 out.fill(T::default());
-                return None;
-            };
+            }
+            let extent = outline.extent(height, width)?;
             let kind = Kind { vertices: model.vertex_count(), size, sigma };
             let mut trace = (traced && !screen.is_clipped()).then(|| Trace::new(kind, extent));
             if kernel.radius() == 0 {
                 let (first, last) = extent.rows;
-                out[..first * width].fill(T::default());
-                out[last * width..].fill(T::default());
                 let out = &mut out[first * width..last * width];
                 return areas(outline, extent, out, width, 0, trace);
             }
@@ -120,7 +120,7 @@ pub(super) fn draw_traced<T: Pixel>(
     })
 }
 
-/// The areas of the rows of an extent, from column `first` on, `stride` pixels a row.
+/// The areas of the rows of an extent, from column `first` on, `stride` pixels a row, into zeros.
 fn areas<T: Pixel>(
     outline: &Outline,
     extent: Extent,
@@ -134,7 +134,7 @@ fn areas<T: Pixel>(
     let paint = |band: Extent, out: &mut [T], trace: Option<&mut Trace>| {
         lend(&WORKER, |worker| {
             let Worker { rows, solver, turned, segments } = worker;
-            let canvas = Canvas { out, stride, origin: (band.rows.0, first), extent: band };
+            let canvas = Canvas { out, stride, origin: (band.rows.0, first) };
             let Some(trace) = trace else {
                 rows.walk(edges, band, &mut Painter { canvas, solver });
                 return;
@@ -265,7 +265,6 @@ struct Canvas<'a, T> {
     stride: usize,
     /// Row and column of the first pixel.
     origin: (usize, usize),
-    extent: Extent,
 }
 
 impl<T: Pixel> Canvas<'_, T> {
@@ -274,21 +273,10 @@ impl<T: Pixel> Canvas<'_, T> {
         (row - self.origin.0) * self.stride + column - self.origin.1
     }
 
-    /// What lies beside the extent.
     #[inline(always)]
-    fn margins(&mut self, row: usize) {
-        let at = self.at(row, self.origin.1);
-        let (left, right) = self.extent.columns;
-        let line = &mut self.out[at..at + self.stride];
-        line[..left - self.origin.1].fill(T::default());
-        line[right - self.origin.1..].fill(T::default());
-    }
-
-    #[inline(always)]
-    fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {
+    fn cover(&mut self, row: usize, from: usize, to: usize) {
         let (from, to) = (self.at(row, from), self.at(row, to));
-        let value = if covered { T::from_f64(1.0) } else { T::default() };
-        self.out[from..to].fill(value);
+        self.out[from..to].fill(T::from_f64(1.0));
     }
 
     #[inline(always)]
@@ -317,12 +305,8 @@ struct Painter<'a, T> {
 }
 
 impl<T: Pixel> Visitor for Painter<'_, T> {
-    fn row(&mut self, row: usize) {
-        self.canvas.margins(row);
-    }
-
-    fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {
-        self.canvas.plain(row, from, to, covered);
+    fn covered(&mut self, row: usize, from: usize, to: usize) {
+        self.canvas.cover(row, from, to);
     }
 
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
@@ -344,12 +328,8 @@ struct Both<'a, T> {
 }
 
 impl<T: Pixel> Visitor for Both<'_, T> {
-    fn row(&mut self, row: usize) {
-        self.canvas.margins(row);
-    }
-
-    fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool) {
-        self.canvas.plain(row, from, to, covered);
+    fn covered(&mut self, row: usize, from: usize, to: usize) {
+        self.canvas.cover(row, from, to);
     }
 
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
@@ -368,9 +348,7 @@ struct OutlineOnly<'a> {
 }
 
 impl Visitor for OutlineOnly<'_> {
-    fn row(&mut self, _row: usize) {}
-
-    fn plain(&mut self, _row: usize, _from: usize, _to: usize, _covered: bool) {}
+    fn covered(&mut self, _row: usize, _from: usize, _to: usize) {}
 
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
         let at = (row - self.origin.0) * self.stride + column - self.origin.1;

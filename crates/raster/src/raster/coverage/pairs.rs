@@ -50,7 +50,6 @@ pub(super) struct Pairs {
     crossed: Lanes,
     /// For each other piece: by how much it changes the layers where it crosses, 0 if it does not.
     change: [Lanes; MOST],
-    events: Events,
 }
 
 impl Default for Pairs {
@@ -71,14 +70,13 @@ impl Default for Pairs {
             layers: zero,
             crossed: zero,
             change: [zero; MOST],
-            events: Events::default(),
         }
     }
 }
 
 /// Where layers change along a line, in order.
 #[derive(Debug, Clone, Default)]
-struct Events {
+pub(super) struct Events {
     list: [(f64, f64); MOST],
     count: usize,
 }
@@ -119,13 +117,14 @@ impl Pairs {
     /// Covered area of a rectangle with at most [`MOST`] pieces, `layers` being their number just
     /// outside its upper left corner. `visible` is called with each piece, the height over which it
     /// is visible (positive if the uncovered side is the right one) and the middle of that; a piece
-    /// may come more than once. `None` if pieces are too close to each other to tell.
+    /// may come more than once. `events` is a buffer. `None` if pieces are too close to each other to tell.
     #[inline(always)]
     pub(super) fn solve(
         &mut self,
         rectangle: Rectangle,
         pieces: &[Piece],
         layers: i32,
+        events: &mut Events,
         mut visible: impl FnMut(&Piece, f64, f64),
     ) -> Option<f64> {
         self.load(pieces);
@@ -139,7 +138,6 @@ impl Pairs {
             sides |= p.flags;
             at_right += if p.flags & TOP == 0 { 0.0 } else { f64::from(p.step) };
         }
-        let mut events = std::mem::take(&mut self.events);
         let mut area = if sides & (RIGHT_0 | RIGHT_1) != 0 {
             right * side(rectangle, at_right, events.through(pieces, RIGHT_0, RIGHT_1, 1.0))
         } else if at_right > 0.0 {
@@ -160,10 +158,9 @@ impl Pairs {
                     visible(p, height, 0.5 * (p.y0 + p.y1));
                 }
             } else {
-                area += self.in_parts(i, p, &mut events, &mut visible);
+                area += self.in_parts(i, p, events, &mut visible);
             }
         }
-        self.events = events;
         Some(area)
     }
 

@@ -26,10 +26,8 @@ struct Part {
 
 /// What a row consists of, from left to right.
 pub(super) trait Visitor {
-    /// A row begins.
-    fn row(&mut self, row: usize);
-    /// Pixels `from..to` that no outline enters.
-    fn plain(&mut self, row: usize, from: usize, to: usize, covered: bool);
+    /// Covered pixels `from..to` that no outline enters; those that are named nowhere are empty.
+    fn covered(&mut self, row: usize, from: usize, to: usize);
     /// A pixel to solve; coordinates are from its upper left corner.
     fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32);
 }
@@ -106,7 +104,6 @@ impl Rows {
         self.place.resize(columns, NOWHERE);
         self.live.clear();
         for row in first..last {
-            visitor.row(row);
             self.cut_row(edges, row, first, (c0 as i32, c1 as i32));
             self.visit_row(row, c0, columns, visitor);
         }
@@ -223,8 +220,8 @@ impl Rows {
                         .max(layers + down - taken[2])
                         .max(if c + 1 < columns { below - taken[3] } else { 0 });
                     if least <= 0 {
-                        if begin < c {
-                            visitor.plain(row, c0 + begin, c0 + c, covered);
+                        if covered && begin < c {
+                            visitor.covered(row, c0 + begin, c0 + c);
                         }
                         (begin, covered) = (c + 1, behind);
                         self.place[c] = total;
@@ -235,19 +232,21 @@ impl Rows {
                     now = true;
                 }
                 if now != covered {
-                    if begin < c {
-                        visitor.plain(row, c0 + begin, c0 + c, covered);
+                    if covered && begin < c {
+                        visitor.covered(row, c0 + begin, c0 + c);
                     }
                     (begin, covered) = (c, now);
                 }
                 if behind != now {
-                    visitor.plain(row, c0 + begin, c0 + c + 1, covered);
+                    if covered {
+                        visitor.covered(row, c0 + begin, c0 + c + 1);
+                    }
                     (begin, covered) = (c + 1, behind);
                 }
             }
         }
-        if begin < columns {
-            visitor.plain(row, c0 + begin, c0 + columns, covered);
+        if covered && begin < columns {
+            visitor.covered(row, c0 + begin, c0 + columns);
         }
         self.change[columns] = 0;
         if self.todo.is_empty() {

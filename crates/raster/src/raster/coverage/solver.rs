@@ -2,7 +2,7 @@
 //! some run along each other.
 
 use super::cell::{Cell, Half, LEFT_0, Piece, Rectangle, Stretch, split};
-use super::pairs::{MOST, Pairs};
+use super::pairs::{Events, MOST, Pairs};
 
 /// A rectangle smaller than this, in pixels, is not split further.
 const SMALL: f64 = 1e-6;
@@ -20,6 +20,7 @@ pub(super) trait Sink {
 #[derive(Debug, Default)]
 pub(super) struct Solver {
     pairs: Pairs,
+    events: Events,
     plain: Plain,
     /// For halves.
     spare: Vec<Vec<Piece>>,
@@ -47,7 +48,7 @@ impl Solver {
             return;
         }
         let visible = |p: &Piece, height: f64, middle: f64| sink.edge(p.edge, height, middle);
-        match self.pairs.solve(rectangle, pieces, layers, visible) {
+        match self.pairs.solve(rectangle, pieces, layers, &mut self.events, visible) {
             Some(area) => sink.area(area),
             None => self.plain.solve(rectangle, pieces, layers, sink),
         }
