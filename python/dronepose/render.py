@@ -106,7 +106,7 @@ def silhouette(
     """Masks of a mesh under many poses; see the module for what each mode draws.
 
     Computed in float64 whatever ``dtype``, but for modes ``"dibr"`` and ``"sigmoid"`` with float32,
-    which are right to about 1e-5; the same to the bit for any number of threads. The memory of
+    which are right to about 2e-5; the same to the bit for any number of threads. The memory of
     earlier results is used again when nothing refers to it any more.
 
     Args:
@@ -172,7 +172,7 @@ def silhouette_gradients(
     """Gradients of ``sum(upstream * silhouette(mesh, camera, R, t, ...))``.
 
     What torch would call the backward pass: ``upstream`` is the gradient of a loss for the masks.
-    The masks are drawn again rather than kept, and nothing is kept for each pixel and face.
+    Outlines are found again; :func:`silhouette_vjp` keeps them.
     Sums are added in a fixed order: the same bits for any number of threads.
 
     Args:
