@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import cv2
@@ -13,6 +12,8 @@ import numpy as np
 from dronepose.data._errors import DataError, missing
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     Bytes = NDArray[np.uint8]
@@ -53,7 +54,7 @@ def read_mask(path: Path, of: str) -> Bytes:
 
 
 def write_png(path: Path, image: Bytes) -> None:
-    """Write ``(H, W, 3)`` RGB or ``(H, W)`` uint8 beside ``path``, then rename: whole or not at all.
+    """Write ``(H, W, 3)`` RGB or ``(H, W)`` uint8, whole or not at all.
 
     Raises:
         OSError: The file cannot be written.

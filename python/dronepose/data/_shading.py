@@ -142,7 +142,7 @@ def drawn(
     seen = render.gbuffer(
         model.mesh, fine, R, t, channels=("mask", "face", "normal", "depth"), normals=normals
     )
-    assert seen.mask is not None and seen.face is not None  # noqa: PT018, S101
+    assert seen.mask is not None and seen.face is not None  # noqa: PT018
     colour = np.zeros((fine.height, fine.width, 3), np.float32)
     i, j = np.nonzero(seen.mask)
     if len(i):
@@ -170,7 +170,7 @@ def drawn(
 
 
 def _spread(colour: Picture, share: Picture) -> Picture:
-    """Premultiplied colours, divided; pixels that no sample hit take the mean of those near them."""
+    """Premultiplied colours, divided; pixels that no sample hit take the mean of those near."""
     reached = share.copy()
     for _ in range(3):
         empty = reached <= 0

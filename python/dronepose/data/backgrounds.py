@@ -156,7 +156,7 @@ def _outdoor(height: int, width: int, generator: np.random.Generator) -> Picture
 
 def _room(height: int, width: int, generator: np.random.Generator) -> Picture:
     """A wall and a floor, with doors, windows, pictures and furniture."""
-    wall = _colour(generator, 0.35, 0.9, 0.12)
+    wall = _colour(generator, 0.4, 0.9, 0.07)
     light = 0.65 + np.float32(0.55) * _ramp(height, width, generator)
     picture = (wall * light).astype(np.float32)
     if generator.random() < 0.5:  # a second wall
@@ -168,17 +168,17 @@ def _room(height: int, width: int, generator: np.random.Generator) -> Picture:
     for _ in range(generator.integers(1, 7)):  # pictures, windows, doors
         half = (width * generator.uniform(0.03, 0.13), height * generator.uniform(0.04, 0.25))
         centre = (width * generator.random(), height * generator.uniform(0.1, 0.6))
-        _rectangle(picture, generator, centre, half, _colour(generator, 0.1, 1.0, 0.2))
+        _rectangle(picture, generator, centre, half, _colour(generator, 0.1, 1.0, 0.12))
         if generator.random() < 0.7:
             inside = (half[0] * 0.82, half[1] * 0.86)
-            _rectangle(picture, generator, centre, inside, _colour(generator, 0.2, 1.0, 0.25))
+            _rectangle(picture, generator, centre, inside, _colour(generator, 0.2, 1.0, 0.16))
     edge = height * generator.uniform(0.55, 1.05)
     slope = generator.uniform(-0.15, 0.15)
     x, y = np.arange(width)[None, :, None], np.arange(height)[:, None, None]
     below = np.clip(y - edge - slope * (x - width / 2) + 0.5, 0, 1).astype(np.float32)
     floor = np.array([0.5, 0.38, 0.26], np.float32)  # wood, or a carpet of any colour
     if generator.random() < 0.5:
-        floor = _colour(generator, 0.2, 0.7, 0.15)
+        floor = _colour(generator, 0.2, 0.7, 0.1)
     depth = np.clip((y - edge) / height, 0.02, None).astype(np.float32)
     angle = generator.uniform(-1.0, 1.0)
     planks = np.sin((x - width / 2 + angle * width * depth) / width / (0.25 + depth) * 60)
@@ -197,14 +197,14 @@ def _clutter(height: int, width: int, generator: np.random.Generator) -> Picture
     for _ in range(generator.integers(6, 26)):
         half = (width * generator.uniform(0.01, 0.2), height * generator.uniform(0.01, 0.15))
         centre = (width * generator.random(), height * generator.random())
-        colour = _colour(generator, 0.05, 0.95, 0.2)
+        colour = _colour(generator, 0.05, 0.95, 0.15)
         _rectangle(picture, generator, centre, half, colour, generator.uniform(0, np.pi))
     return picture
 
 
 def _smooth(height: int, width: int, generator: np.random.Generator) -> Picture:
     """Noise between two colours."""
-    a, b = _colour(generator, 0.1, 0.6, 0.2), _colour(generator, 0.4, 0.95, 0.2)
+    a, b = _colour(generator, 0.1, 0.6, 0.12), _colour(generator, 0.4, 0.95, 0.12)
     share = noise(height, width, generator, channels=1, coarsest=int(generator.integers(2, 8)))
     share = np.clip((share - 0.5) * np.float32(generator.uniform(1, 3)) + 0.5, 0, 1)
     return (a + share * (b - a)).astype(np.float32)

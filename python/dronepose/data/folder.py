@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from dronepose.camera import Camera
 from dronepose.data._errors import DataError, missing
@@ -20,6 +16,10 @@ from dronepose.data.sample import PoseDataset, Raw, one_size
 from dronepose.mesh import Mesh
 
 if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable
+
+    import numpy as np
     from torch import Tensor
 
     from dronepose.data._poses import PoseRow
@@ -75,9 +75,9 @@ class FolderDataset(PoseDataset):
             images/     000000.png: RGB, 8 bits
             masks/      000000.png: 255 x the share of the pixel that the drone covers
 
-    ``poses.csv`` may name the file in a column ``image`` (else it is the id with ``.png``), and hold
-    the intrinsics of each image in columns ``fx,fy,cx,cy``, which go before ``camera``. A split
-    without a folder ``masks`` has no masks.
+    ``poses.csv`` may name the file in a column ``image`` (else it is the id with ``.png``), and
+    hold the intrinsics of each image in columns ``fx,fy,cx,cy``, which go before ``camera``. A
+    split without a folder ``masks`` has no masks.
 
     Args:
         root: The folder of the data set.
@@ -203,10 +203,10 @@ class FolderDataset(PoseDataset):
         if self.has_masks:
             mask = read_mask((self.folder / "masks" / file).with_suffix(".png"), whose)
         one_size(image, mask, place)
-        K = self._K(row, place, (image.shape[0], image.shape[1]))
+        K = self._matrix(row, place, (image.shape[0], image.shape[1]))
         return Raw(image, mask, K, row.R, row.t, row.name)
 
-    def _K(self, row: PoseRow, place: str, size: tuple[int, int]) -> np.ndarray[Any, Any]:
+    def _matrix(self, row: PoseRow, place: str, size: tuple[int, int]) -> np.ndarray[Any, Any]:
         height, width = size
         own = [row.further.get(name) for name in _INTRINSICS]
         if all(own):

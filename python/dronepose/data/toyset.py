@@ -14,10 +14,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import platform
 import time
-from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -36,6 +34,9 @@ from dronepose.data.backgrounds import Photographs, procedural
 from dronepose.mesh import Mesh
 
 if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
@@ -105,9 +106,7 @@ class ToySettings:
         return Camera.from_fov(self.width, self.height, horizontal_deg=self.horizontal_deg)
 
 
-def toy_pose(
-    settings: ToySettings, generator: np.random.Generator
-) -> tuple[Array, Array, Array]:
+def toy_pose(settings: ToySettings, generator: np.random.Generator) -> tuple[Array, Array, Array]:
     """A pose of the distribution that the module states.
 
     Args:
@@ -156,7 +155,7 @@ def _turn(axis: Array, angle: float) -> Array:
 
 
 def _generators(seed: int, split: str, number: int) -> tuple[np.random.Generator, ...]:
-    """Of the pose and of the picture of a sample: independent, so that poses come without pixels."""
+    """Of the pose and of the picture of a sample: poses come without pixels."""
     place = SPLITS.index(split)
     return tuple(np.random.default_rng([seed, place, number, part]) for part in (0, 1))
 
