@@ -1,0 +1,108 @@
+"""Image files to arrays and back, by OpenCV, with errors that name the file and the sample."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from typing import TYPE_CHECKING, cast
+
+import cv2
+import numpy as np
+
+from dronepose.data._errors import DataError, missing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Bytes = NDArray[np.uint8]
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def read_rgb(path: Path, of: str) -> Bytes:
+    """An image file as ``(H, W, 3)`` uint8, RGB; grey becomes three equal channels.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DataError: The file is damaged or no image. ``of`` says whose it is.
+    """
+    found = cv2.imdecode(_content(path, of, "an image"), cv2.IMREAD_COLOR)
+    if found is None:
+        raise DataError(f"{path}: {of}: cannot be decoded, expected an image")
+    return cast("Bytes", cv2.cvtColor(found, cv2.COLOR_BGR2RGB))
+
+
+def read_mask(path: Path, of: str) -> Bytes:
+    """A mask file as ``(H, W)`` uint8; of an image in colour the largest channel.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DataError: The file is damaged or no image. ``of`` says whose it is.
+    """
+    found = cv2.imdecode(_content(path, of, "a mask"), cv2.IMREAD_UNCHANGED)
+    if found is None:
+        raise DataError(f"{path}: {of}: cannot be decoded, expected a mask")
+    if found.dtype == np.uint16:
+        found = (found.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+    if found.dtype != np.uint8:
+        raise DataError(f"{path}: {of}: expected 8 or 16 bits, got {found.dtype}")
+    if found.ndim == 3:
+        found = found[..., :3].max(axis=2)
+    return cast("Bytes", found)
+
+
+def write_png(path: Path, image: Bytes) -> None:
+    """Write ``(H, W, 3)`` RGB or ``(H, W)`` uint8, whole or not at all.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    shown = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
+    done, content = cv2.imencode(".png", shown)
+    if not done:
+        raise OSError(f"{path}: cannot be encoded as PNG")
+    write_bytes(path, content.tobytes())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write beside ``path``, then rename: whole or not at all.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        beside.write_bytes(content)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _content(path: Path, of: str, what: str) -> Bytes:
+    if not path.is_file():
+        missing(path, f"{what} of {of}")
+    content = path.read_bytes()
+    if not content:
+        raise DataError(f"{path}: {of}: the file is empty, expected {what}")
+    if content.startswith(_PNG):
+        _check_png(content, path, of)
+    elif content.startswith(b"\xff\xd8") and b"\xff\xd9" not in content[-64:]:
+        raise DataError(f"{path}: {of}: the JPEG file is cut off")
+    return np.frombuffer(content, np.uint8)
+
+
+def _check_png(content: bytes, path: Path, of: str) -> None:
+    """Every chunk is whole and has the right check sum (decoders show half an image silently)."""
+    place, kind = len(_PNG), b""
+    while kind != b"IEND":
+        size = int.from_bytes(content[place : place + 4], "big")
+        end = place + 12 + size
+        if end > len(content):
+            raise DataError(f"{path}: {of}: the PNG file is cut off at byte {len(content)}")
+        kind = content[place + 4 : place + 8]
+        stated = int.from_bytes(content[end - 4 : end], "big")
+        if zlib.crc32(content[place + 4 : end - 4]) != stated:
+            raise DataError(f"{path}: {of}: the PNG file is damaged at byte {place}")
+        place = end
