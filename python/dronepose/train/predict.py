@@ -1,0 +1,121 @@
+"""Poses of all images of a data set, by a network from a file."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch.utils.data import DataLoader
+
+from dronepose.data import PoseDataModule
+from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose.model import model_from_file
+
+if TYPE_CHECKING:
+    import argparse
+    import os
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from dronepose.data import PoseDataset
+
+    Array = NDArray[np.float64]
+
+
+def predict(
+    weights: str | os.PathLike[str],
+    dataset: PoseDataset,
+    *,
+    batch_size: int = 64,
+    workers: int = 0,
+    device: str = "cpu",
+) -> tuple[list[str], Array, Array]:
+    """Predict the pose in every image.
+
+    Args:
+        weights: A file written by training, or by :func:`dronepose.model.save_weights`.
+        dataset: The images.
+        batch_size: Images at a time.
+        workers: Processes that read images; 0 reads in this one.
+        device: Where torch computes.
+
+    Returns:
+        Names, ``R`` ``(N, 3, 3)`` and ``t`` ``(N, 3)`` metres, ``cam_from_model``, in the order of
+        the data set.
+
+    Raises:
+        OSError: A file cannot be read.
+        ValueError: The weights or a sample were refused.
+    """
+    model = model_from_file(weights).to(device).eval()
+    loader = DataLoader(dataset, batch_size=batch_size, num_workers=workers)
+    names: list[str] = []
+    rotations, translations = [], []
+    begin, shown = time.monotonic(), 0.0
+    with torch.inference_mode():
+        for batch in loader:
+            R, t = model(batch["image"].to(device), batch["K"].to(device))
+            names += batch["name"]
+            rotations.append(R.double().cpu().numpy())
+            translations.append(t.double().cpu().numpy())
+            now = time.monotonic()
+            if now - begin > 2 and now - shown > 0.2 and sys.stderr.isatty():
+                print(f"\r{len(names)} of {len(dataset)} images", end="", file=sys.stderr)
+                shown = now
+    if shown:
+        print(file=sys.stderr)
+    if not names:
+        return names, np.zeros((0, 3, 3)), np.zeros((0, 3))
+    return names, np.concatenate(rotations), np.concatenate(translations)
+
+
+def poses_csv(names: Sequence[str], R: Array, t: Array) -> str:
+    """Poses as ``dronepose-eval`` reads them: ``id,qw,qx,qy,qz,tx,ty,tz``, metres.
+
+    Args:
+        names: Ids; quoted where they need it (RFC 4180).
+        R: ``(N, 3, 3)``, rotations of ``cam_from_model``.
+        t: ``(N, 3)``, metres.
+    """
+    lines = ["id,qw,qx,qy,qz,tx,ty,tz"]
+    quaternions = quat_wxyz_from_matrix(R) if len(R) else np.zeros((0, 4))
+    for name, q, p in zip(names, quaternions, t, strict=True):
+        quoted = f'"{name.replace(chr(34), 2 * chr(34))}"' if set(name) & set(',"\r\n') else name
+        lines.append(",".join([quoted, *(repr(float(x)) for x in (*q, *p))]))
+    return "\n".join(lines) + "\n"
+
+
+def run(options: argparse.Namespace) -> dict[str, object]:
+    """What ``dronepose predict`` does, with its arguments; says what it wrote."""
+    if not options.weights.is_file():
+        raise FileNotFoundError(f"{options.weights}: there is no such file of weights")
+    data = PoseDataModule(kind=options.kind, root=str(options.data), batch_size=options.batch_size)
+    dataset = data.dataset(options.split)
+    begin = time.monotonic()
+    names, R, t = predict(
+        options.weights,
+        dataset,
+        batch_size=options.batch_size,
+        workers=options.workers,
+        device=options.device,
+    )
+    seconds = time.monotonic() - begin
+    write_text(options.out, poses_csv(names, R, t))
+    if options.gt_out is not None:
+        raws = [dataset.load(k) for k in range(len(dataset))]
+        truth = (np.stack([raw.R for raw in raws]), np.stack([raw.t for raw in raws]))
+        write_text(options.gt_out, poses_csv([raw.name for raw in raws], *truth))
+    return {"out": str(options.out), "images": len(names), "seconds": round(seconds, 3)}
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file beside its place and move it there, so that it is never half written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(path.name + ".part")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(path)

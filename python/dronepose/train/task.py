@@ -1,0 +1,265 @@
+"""What is trained: a pose network, its objective and how it is judged.
+
+The objective is that of DronePose (Albanis et al., ECCV Workshops 2020), section 4:
+
+    L_pose = lambda_pose L_t + (1 - lambda_pose) L_r
+    L      = (1 - lambda_exo) L_pose + lambda_exo L_exo
+
+``L_t`` is the squared distance of the translations in square metres, ``L_r`` the geodesic distance
+of the rotations in radians, ``L_exo`` compares the silhouette drawn under the predicted pose with
+the mask of the image. ``lambda_exo`` may change from epoch to epoch.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Literal
+
+import lightning
+import torch
+from torch import Tensor, nn
+
+from dronepose import losses
+from dronepose.mesh import Mesh
+from dronepose.model import PoseNet
+from dronepose.torch import silhouette
+from dronepose.train.report import Judge
+from dronepose.train.source import mesh_file
+
+Mode = Literal["coverage", "dibr", "sigmoid"]
+
+
+class Exo(nn.Module):
+    """The silhouette objective: masks of a mesh under predicted poses, and a loss for them.
+
+    Attributes:
+        seconds: Time spent in forward and backward passes since it was last set to zero.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        loss: str,
+        options: dict[str, Any] | None = None,
+        *,
+        mode: Mode = "dibr",
+        sigma: float = 0.0,
+        delta: float = 7000.0,
+        sigma_ndc: float = 1e-4,
+    ) -> None:
+        super().__init__()
+        self.register_buffer("vertices", torch.tensor(mesh.vertices).float(), persistent=False)
+        self.register_buffer("faces", torch.tensor(mesh.faces).long(), persistent=False)
+        self.loss = losses.silhouette_loss(loss, **(options or {}))
+        self.drawing = {"mode": mode, "sigma": sigma, "delta": delta, "sigma_ndc": sigma_ndc}
+        self.seconds = 0.0
+
+    def draw(self, R: Tensor, t: Tensor, K: Tensor, height: int, width: int) -> Tensor:
+        """Masks ``(B, H, W)`` float32 under ``R`` ``(B, 3, 3)``, ``t`` ``(B, 3)`` metres."""
+        vertices, faces = self.vertices, self.faces
+        assert isinstance(vertices, Tensor)
+        assert isinstance(faces, Tensor)
+        with torch.autocast(R.device.type, enabled=False):
+            return silhouette(
+                vertices,
+                faces,
+                R.float(),
+                t.float(),
+                K.float(),
+                height,
+                width,
+                **self.drawing,  # type: ignore[arg-type]
+            )
+
+    def forward(self, R: Tensor, t: Tensor, K: Tensor, target: Tensor) -> Tensor:
+        """The loss, a number, against masks ``target`` ``(B, H, W)``."""
+        begin = time.perf_counter()
+        R, t = R.clone(), t.clone()
+        masks = self.draw(R, t, K, target.shape[-2], target.shape[-1])
+        value: Tensor = self.loss(masks, target)
+        self.seconds += time.perf_counter() - begin
+        if value.requires_grad and not torch.compiler.is_compiling():
+            self._time_backward(value, (R, t))
+        return value
+
+    def _time_backward(self, value: Tensor, poses: tuple[Tensor, ...]) -> None:
+        """From the gradient for the loss to those for the poses."""
+        begin: list[float] = []
+
+        def start(_: Tensor) -> None:
+            begin.append(time.perf_counter())
+
+        def stop(_: Tensor) -> None:
+            if begin:
+                now = time.perf_counter()
+                self.seconds += now - begin[-1]
+                begin[-1] = now
+
+        value.register_hook(start)  # type: ignore[no-untyped-call]
+        for pose in poses:
+            if pose.requires_grad:
+                pose.register_hook(stop)  # type: ignore[no-untyped-call]
+
+
+class PoseTask(lightning.LightningModule):
+    """A pose network, trained on poses and silhouettes, judged as ``dronepose-eval`` does.
+
+    Args:
+        mesh: The model, for silhouettes and ADD; by default that of the data set.
+        backbone: A torchvision network by name, see :func:`dronepose.model.backbone_names`.
+        weights: A file with weights to begin from; none is ever downloaded.
+        normalisation: ``"none"`` or ``"imagenet"``.
+        camera: ``None``, or ``"normalised"`` for a network that knows the camera.
+        silhouette: A loss by name (:func:`dronepose.losses.silhouette_loss`), or ``"none"``.
+        silhouette_options: Options of the loss, such as ``size`` and ``sigma``.
+        mode: How silhouettes are drawn: ``"dibr"`` as in the paper, ``"coverage"``, ``"sigmoid"``.
+        sigma: Blur of mode ``"coverage"``, pixels.
+        delta: Inverse squared width of mode ``"dibr"``, NDC.
+        lambda_pose: Share of the translation in ``L_pose``, 0 to 1.
+        lambda_exo: Share of ``L_exo``: one number, or by the epoch from which it holds.
+        lr: Learning rate of Adam.
+        freeze_norm: Keep the statistics of batch normalisation as they are.
+        compat: ``"paper"``, or ``"authors"``: the mean over the three coordinates in ``L_t``, means
+            of the means of batches, a GIoU without gradient.
+
+    Raises:
+        ValueError: A share is outside of 0 to 1, a schedule does not begin at epoch 0, or a name is
+            unknown.
+    """
+
+    def __init__(
+        self,
+        mesh: str | None = None,
+        backbone: str = "resnet34",
+        weights: str | None = None,
+        normalisation: Literal["none", "imagenet"] = "none",
+        camera: Literal["normalised"] | None = None,
+        silhouette: str = "none",
+        silhouette_options: dict[str, Any] | None = None,
+        mode: Mode = "dibr",
+        sigma: float = 0.0,
+        delta: float = 7000.0,
+        lambda_pose: float = 0.95,
+        lambda_exo: float | dict[int, float] = 0.1,
+        lr: float = 1e-4,
+        freeze_norm: bool = False,
+        compat: Literal["paper", "authors"] = "paper",
+    ) -> None:
+        super().__init__()
+        self.save_hyperparameters()
+        self.schedule = _schedule(lambda_exo if silhouette != "none" else 0.0)
+        if not 0 <= lambda_pose <= 1:
+            raise ValueError(f"lambda_pose: {lambda_pose}; expected 0 to 1")
+        self.lambda_pose, self.lr = lambda_pose, lr
+        self.freeze_norm, self.authors = freeze_norm, compat == "authors"
+        self.model = PoseNet(backbone, weights=weights, normalisation=normalisation, camera=camera)
+        self._mesh = mesh
+        self._exo_options = (silhouette, dict(silhouette_options or {}), mode, sigma, delta)
+        self.exo: Exo | None = None
+        self.judge = Judge(None, authors=self.authors)
+        self.epoch_report: dict[str, float] = {}
+
+    def configure_model(self) -> None:
+        """Load the mesh: of the arguments, or of the data set."""
+        if self.exo is not None or self.judge.mesh is not None:
+            return
+        path = mesh_file(self._mesh, self.trainer.datamodule)  # type: ignore[attr-defined]
+        name, options, mode, sigma, delta = self._exo_options
+        if path is None:
+            if name != "none":
+                raise ValueError("mesh: a silhouette loss needs one, and the data set names none")
+            return
+        mesh = Mesh.from_file(path)
+        self.judge = Judge(mesh, authors=self.authors)
+        if name != "none":
+            self.exo = Exo(mesh, name, options, mode=mode, sigma=sigma, delta=delta)
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Adam with its default moments."""
+        return torch.optim.Adam(self.model.parameters(), lr=self.lr)
+
+    def lambda_exo(self, epoch: int) -> float:
+        """The share of the silhouette in an epoch, counted from 0."""
+        return [value for first, value in self.schedule if first <= epoch][-1]
+
+    def on_train_epoch_start(self) -> None:
+        """Keep statistics as they are, where asked for."""
+        if self.freeze_norm:
+            for module in self.model.modules():
+                if isinstance(module, nn.modules.batchnorm._BatchNorm):
+                    module.eval()
+
+    def objective(self, batch: dict[str, Any]) -> dict[str, Tensor]:
+        """The loss and its parts, for a collated batch of samples."""
+        R, t = self.model(batch["image"], batch["K"])
+        reduction: Literal["mean", "sum_squares"] = "mean" if self.authors else "sum_squares"
+        parts = {
+            "translation": losses.translation_loss(
+                t.float(), batch["t"], coordinates="mean" if reduction == "mean" else "sum"
+            ),
+            "rotation": losses.rotation_loss(R.float(), batch["R"]),
+        }
+        share = self.lambda_exo(self.current_epoch)
+        weight = self.lambda_pose
+        pose = weight * parts["translation"] + (1 - weight) * parts["rotation"]
+        if self.exo is None or share == 0:
+            return {"loss": pose, **parts}
+        parts["silhouette"] = self.exo(R, t, batch["K"], batch["mask"])
+        return {"loss": (1 - share) * pose + share * parts["silhouette"], **parts}
+
+    def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
+        """One step; the loss and its parts are logged."""
+        found = self.objective(batch)
+        if not torch.isfinite(found["loss"]):
+            names = ", ".join(str(name) for name in batch["name"][:8])
+            raise FloatingPointError(f"the loss is {found['loss'].item()} for samples {names}")
+        logged = {f"train/{name}": value.detach() for name, value in found.items()}
+        shared = self.trainer.world_size > 1
+        self.log_dict(logged, batch_size=len(batch["name"]), prog_bar=False, sync_dist=shared)
+        self.log("loss", found["loss"].detach(), prog_bar=True, logger=False)
+        return found["loss"]
+
+    def validation_step(self, batch: dict[str, Any], batch_idx: int) -> None:
+        """Predict and remember."""
+        self._remember(batch)
+
+    def test_step(self, batch: dict[str, Any], batch_idx: int) -> None:
+        """Predict and remember."""
+        self._remember(batch)
+
+    def on_validation_epoch_end(self) -> None:
+        """Judge the predictions of the epoch."""
+        self._report("val")
+
+    def on_test_epoch_end(self) -> None:
+        """Judge the predictions of the epoch."""
+        self._report("test")
+
+    def predict_step(self, batch: dict[str, Any], batch_idx: int) -> dict[str, Any]:
+        """Poses with the names of their samples."""
+        R, t = self.model(batch["image"], batch["K"])
+        return {"name": batch["name"], "R": R.float(), "t": t.float()}
+
+    def _remember(self, batch: dict[str, Any]) -> None:
+        R, t = self.model(batch["image"], batch["K"])
+        self.judge.add(batch["name"], (R.float(), t.float()), (batch["R"], batch["t"]))
+
+    def _report(self, split: str) -> None:
+        found = self.judge.finish(self.trainer.world_size)
+        if found is None:
+            return
+        self.epoch_report = found
+        self.log_dict({f"{split}/{k}": v for k, v in found.items()}, sync_dist=False)
+        for name in ("cpe", "npe", "oe_deg"):
+            self.log(name, found[name], prog_bar=True, logger=False)
+
+
+def _schedule(value: float | dict[int, float]) -> list[tuple[int, float]]:
+    """Shares by the epoch from which they hold, in order."""
+    steps = sorted(value.items()) if isinstance(value, dict) else [(0, value)]
+    if not steps or steps[0][0] != 0:
+        raise ValueError(f"lambda_exo: {value}; expected a share from epoch 0 on")
+    for _, share in steps:
+        if not 0 <= share <= 1:
+            raise ValueError(f"lambda_exo: {share}; expected 0 to 1")
+    return [(int(epoch), float(share)) for epoch, share in steps]
