@@ -172,8 +172,8 @@ def test_backgrounds_from_a_folder(tmp_path):
         far = cv2.dilate(mask, np.ones((9, 9))) == 0
         kinds.add(bool(image[far].std() < 15))  # a flat panorama, or a ramp
     assert kinds == {True, False}
+    (tmp_path / "none").mkdir()
     with pytest.raises(DataError, match="no images, expected"):
-        (tmp_path / "none").mkdir()
         write_toyset(tmp_path / "x", counts={"train": 1}, backgrounds=str(tmp_path / "none"))
     with pytest.raises(FileNotFoundError, match="a folder of background images"):
         write_toyset(tmp_path / "y", counts={"train": 1}, backgrounds=str(tmp_path / "nowhere"))
