@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dronepose.mesh import Mesh
 
     Array = NDArray[np.float64]
-    Picture = NDArray[np.float32]
+    Picture = NDArray[Any]  # float32
 
 _FINER = 2
 """Samples along each side of a pixel for colours."""

@@ -235,7 +235,9 @@ class PhotometricAugmentation:
         """
         if generator.random() >= self.probability:
             return image
-        from torchvision.transforms.v2 import functional  # a second: not where it is not used
+        from torchvision.transforms.v2 import (  # type: ignore[import-untyped]
+            functional,
+        )  # a second: not where it is not used
 
         factors = {
             name: 1 + generator.uniform(-1, 1) * getattr(self, name)

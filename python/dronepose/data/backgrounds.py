@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Picture = NDArray[np.float32]
+    Picture = NDArray[Any]  # float32
 
 _SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".hdr"})
 
@@ -48,7 +48,7 @@ def procedural(height: int, width: int, generator: np.random.Generator) -> Pictu
     blur = generator.uniform(0.0, 1.6) * height / 120
     if blur > 0.3:
         picture = cv2.GaussianBlur(picture, (0, 0), blur).astype(np.float32)
-    return np.clip(picture, 0, 1)
+    return _single(np.clip(picture, 0, 1))
 
 
 def noise(
@@ -84,14 +84,18 @@ def noise(
         weight, nodes, strength = weight + strength, nodes * 2, strength * 0.55
     if weight == 0:
         return generator.random((height, width, channels), np.float32)
-    return np.clip(total / weight, 0, 1)
+    return _single(np.clip(total / weight, 0, 1))
+
+
+def _single(values: Any) -> Picture:
+    return np.asarray(values, dtype=np.float32)
 
 
 def _colour(generator: np.random.Generator, low: float, high: float, vivid: float) -> Picture:
     """A colour around a random grey."""
     grey = generator.uniform(low, high)
     hue = generator.uniform(-vivid, vivid, 3)
-    return np.clip(grey + hue - hue.mean(), 0, 1).astype(np.float32)
+    return _single(np.clip(grey + hue - hue.mean(), 0, 1))
 
 
 def _ramp(height: int, width: int, generator: np.random.Generator) -> Picture:
@@ -100,7 +104,7 @@ def _ramp(height: int, width: int, generator: np.random.Generator) -> Picture:
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     plane = np.cos(angle) * x / width + np.sin(angle) * y / height
     plane = (plane - plane.min()) / max(float(np.ptp(plane)), 1e-6)
-    return plane[..., None].astype(np.float32)
+    return _single(plane[..., None])
 
 
 def _rectangle(
@@ -115,9 +119,9 @@ def _rectangle(
     c, s = np.cos(tilt), np.sin(tilt)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.asarray(half)
     corners = corners @ np.array([[c, s], [-s, c]]) + np.asarray(centre)
-    alpha = np.zeros(picture.shape[:2], np.uint8)
+    height, width = picture.shape[0], picture.shape[1]
+    alpha = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(alpha, np.round(corners * 16).astype(np.int32), 255, cv2.LINE_AA, 4)
-    height, width = alpha.shape
     light = 1 + np.float32(generator.uniform(0, 0.35)) * (_ramp(height, width, generator) - 0.5)
     cover = alpha[..., None].astype(np.float32) / 255
     picture += cover * (colour * light - picture)
@@ -151,7 +155,7 @@ def _outdoor(height: int, width: int, generator: np.random.Generator) -> Picture
     ground = soil[generator.integers(3)] * np.float32(generator.uniform(0.6, 1.3))
     texture = noise(height, width, generator, channels=1, coarsest=10)
     picture += below * (ground * (0.6 + 0.8 * texture) - picture)
-    return picture.astype(np.float32)
+    return _single(picture)
 
 
 def _room(height: int, width: int, generator: np.random.Generator) -> Picture:
@@ -188,7 +192,7 @@ def _room(height: int, width: int, generator: np.random.Generator) -> Picture:
         half = (width * generator.uniform(0.04, 0.2), height * generator.uniform(0.05, 0.22))
         centre = (width * generator.random(), edge + height * generator.uniform(-0.1, 0.2))
         _rectangle(picture, generator, centre, half, _colour(generator, 0.1, 0.7, 0.12))
-    return picture
+    return _single(picture)
 
 
 def _clutter(height: int, width: int, generator: np.random.Generator) -> Picture:
@@ -199,7 +203,7 @@ def _clutter(height: int, width: int, generator: np.random.Generator) -> Picture
         centre = (width * generator.random(), height * generator.random())
         colour = _colour(generator, 0.05, 0.95, 0.15)
         _rectangle(picture, generator, centre, half, colour, generator.uniform(0, np.pi))
-    return picture
+    return _single(picture)
 
 
 def _smooth(height: int, width: int, generator: np.random.Generator) -> Picture:
@@ -207,7 +211,7 @@ def _smooth(height: int, width: int, generator: np.random.Generator) -> Picture:
     a, b = _colour(generator, 0.1, 0.6, 0.12), _colour(generator, 0.4, 0.95, 0.12)
     share = noise(height, width, generator, channels=1, coarsest=int(generator.integers(2, 8)))
     share = np.clip((share - 0.5) * np.float32(generator.uniform(1, 3)) + 0.5, 0, 1)
-    return (a + share * (b - a)).astype(np.float32)
+    return _single(a + share * (b - a))
 
 
 class Photographs:

@@ -214,7 +214,7 @@ class FolderDataset(PoseDataset):
                 number(text or "", place, name) for name, text in zip(_INTRINSICS, own, strict=True)
             ]
             try:
-                return Camera(*values, width=width, height=height).K
+                return Camera(values[0], values[1], values[2], values[3], width, height).K
             except ValueError as error:
                 raise DataError(f"{place}: {error}") from None
         if self.camera is None:

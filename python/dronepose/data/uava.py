@@ -1,0 +1,364 @@
+"""UAVA, the data set of the DronePose paper: see :class:`UavaDataset`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from dronepose import geometry
+from dronepose.camera import Camera
+from dronepose.data._errors import DataError, missing
+from dronepose.data._images import read_mask, read_rgb
+from dronepose.data._poses import TOLERANCE, check_pose, number
+from dronepose.data.sample import PoseDataset, Raw, one_size
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+    Array = NDArray[np.float64]
+
+_AXES = ("x", "y", "z")
+_OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0])
+HORIZONTAL_DEG = 64.69
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    """One image of a flight."""
+
+    name: str
+    image: Path
+    mask: Path | None
+    place: str
+    R: Array
+    t: Array
+    frame: int
+
+
+class UavaDataset(PoseDataset):
+    """Exocentric images of UAVA with the pose of the drone in them.
+
+    .. code-block:: text
+
+        DRONE/VIEW/MODALITY/BUILDING/ROW_DATE_FRAME_.._VIEW_..  (M2ED/exocentric/colour/...)
+        trajectories/BUILDING/DATE/*blender*                     tab-separated, with a header
+        data splits/scenes_train.txt, scenes_val.txt, scenes_test.txt
+
+    A file of a flight has the columns ``Position(x)_t1``, ``Orientation(x)_t1`` (with ``w``), the
+    same for ``_t2``, ``Pilot(x)`` and ``PilotRot(x)``; row ``ROW``, from 0, and time step ``FRAME``
+    (0 is ``_t1``, 1 is ``_t2``) belong to an image. Quaternions are ``x, y, z, w``; the pose is
+    ``R = R_cam^T R_drone``, ``t = R_cam^T (T_drone - T_cam)``, in metres.
+
+    What the authors' code (github.com/VCL3D/DronePose, ``dataset/dataloader.py`` and
+    ``importers/extrinsics.py``) leaves open is decided here:
+
+    - It keeps Blender's camera axes (y up, looking down -z). With ``axes="blender"``, the default,
+      they are turned into OpenCV's by ``diag(1, -1, -1)``; ``"opencv"`` takes the rows as they are.
+    - The model frame is that of the mesh file, which its renderer puts through the pose unchanged.
+    - Names have six parts between underscores, or seven where the modality has two
+      (``normal_map``): the last but one is the view.
+    - Quaternions are not normalised there; here they are, if their norm is within 1 % of 1.
+    - Both time steps of a row are samples of their own, ``BUILDING_ROW_DATE_FRAME``; the authors
+      train on frame 0 (``frames=(0,)``). :meth:`pairs` finds the two steps of a row.
+    - The camera has 64.69 degrees from left to right (the paper's supplement) and its principal
+      point in the middle, whatever the size of the images.
+    - A building without a folder stops the authors' code, and so it does here, unless
+      ``allow_missing`` turns it into a warning.
+
+    Args:
+        root: The folder that holds the folders of the drones.
+        split: ``"train"``, ``"val"`` or ``"test"``: which list of buildings.
+        trajectories: Folder of the flights; ``None`` is ``root/trajectories``.
+        splits: Folder of the lists; ``None`` is ``root/data splits``.
+        drone: Folder of the drone.
+        view: Folder and name of the view.
+        image: Folder of the modality that is the image.
+        mask: Folder of the modality that is the mask; ``None`` for none.
+        frames: Time steps to use, of 0 and 1.
+        horizontal_deg: Field of view of the camera, degrees.
+        axes: Camera axes of the files, ``"blender"`` or ``"opencv"``.
+        allow_missing: Whether buildings without a folder are left out with a warning.
+        height: As in :class:`PoseDataset`, and so are the following.
+        width: As in :class:`PoseDataset`.
+        geometric: As in :class:`PoseDataset`.
+        photometric: As in :class:`PoseDataset`.
+        seed: As in :class:`PoseDataset`.
+
+    Raises:
+        FileNotFoundError: A list, folder, flight, image or mask is missing.
+        DataError: A name, column, row or pose is wrong; the message names file, line and sample.
+        ValueError: An argument is out of its range.
+
+    Warns:
+        UserWarning: Buildings are missing and ``allow_missing`` is set.
+
+    Example:
+        >>> data = UavaDataset("UAVA", "val", frames=(0,))  # doctest: +SKIP
+        >>> data[0]["name"]  # doctest: +SKIP
+        '2azQ1b91cZZ_0_2019-12-24-13-30-23_0'
+    """
+
+    def __init__(
+        self,
+        root: str | os.PathLike[str],
+        split: str,
+        *,
+        trajectories: str | os.PathLike[str] | None = None,
+        splits: str | os.PathLike[str] | None = None,
+        drone: str = "M2ED",
+        view: str = "exocentric",
+        image: str = "colour",
+        mask: str | None = "silhouette",
+        frames: Sequence[int] = (0, 1),
+        horizontal_deg: float = HORIZONTAL_DEG,
+        axes: Literal["blender", "opencv"] = "blender",
+        allow_missing: bool = False,
+        height: int | None = None,
+        width: int | None = None,
+        geometric: Callable[[Raw, np.random.Generator], Raw] | None = None,
+        photometric: Callable[[Tensor, np.random.Generator], Tensor] | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(
+            height=height, width=width, geometric=geometric, photometric=photometric, seed=seed
+        )
+        if axes not in ("blender", "opencv"):
+            raise ValueError(f"axes: expected 'blender' or 'opencv', got {axes!r}")
+        if not frames or not set(frames) <= {0, 1}:
+            raise ValueError(f"frames: expected some of 0 and 1, got {tuple(frames)}")
+        Camera.from_fov(4, 3, horizontal_deg=horizontal_deg)
+        self.root, self.split = Path(root), split
+        self.view, self.frames = view, frozenset(frames)
+        self.horizontal_deg, self.axes = horizontal_deg, axes
+        self._flights = Path(trajectories) if trajectories else self.root / "trajectories"
+        lists = Path(splits) if splits else self.root / "data splits"
+        self._rows: dict[tuple[str, str], _Flight] = {}
+        self._items: list[_Item] = []
+        folder = self.root / drone / view
+        if not folder.is_dir():
+            missing(folder, "the images of a drone and a view")
+        for building, where in buildings(lists / f"scenes_{split}.txt"):
+            if not (folder / image / building).is_dir():
+                text = f"{where}: building {building} has no folder {folder / image / building}"
+                if not allow_missing:
+                    raise FileNotFoundError(text)
+                warnings.warn(text, stacklevel=2)
+                continue
+            masks = None if mask is None else self._files(folder / mask / building)
+            for key, path in self._files(folder / image / building).items():
+                self._items.append(self._item(building, key, path, masks, folder / str(mask)))
+        self.names = [item.name for item in self._items]
+
+    def _files(self, folder: Path) -> dict[tuple[int, str, int], Path]:
+        """The images of a building by row, date and frame, in this order."""
+        if not folder.is_dir():
+            missing(folder, "a folder of images of a building")
+        found: dict[tuple[int, str, int], Path] = {}
+        for path in folder.iterdir():
+            if not path.is_file() or path.name.startswith("."):
+                continue
+            row, date, frame, view = parse_name(path)
+            if view != self.view or frame not in self.frames:
+                continue
+            if (row, date, frame) in found:
+                raise DataError(
+                    f"{path}: the same row, date and frame as {found[row, date, frame]}"
+                )
+            found[row, date, frame] = path
+        return dict(sorted(found.items(), key=lambda each: (each[0][1], each[0][0], each[0][2])))
+
+    def _item(
+        self,
+        building: str,
+        key: tuple[int, str, int],
+        path: Path,
+        masks: dict[tuple[int, str, int], Path] | None,
+        of_masks: Path,
+    ) -> _Item:
+        row, date, frame = key
+        name = f"{building}_{row}_{date}_{frame}"
+        if masks is not None and key not in masks:
+            raise FileNotFoundError(
+                f"{of_masks / building}: no mask of sample {name!r}, of the image {path.name}"
+            )
+        flight = self._flight(building, date)
+        R, t, place = flight.pose(row, frame, name, self.axes)
+        mask = None if masks is None else masks[key]
+        return _Item(name, path, mask, place, R, t, frame)
+
+    def _flight(self, building: str, date: str) -> _Flight:
+        if (building, date) not in self._rows:
+            folder = self._flights / building / date
+            files = sorted(folder.glob("*blender*")) if folder.is_dir() else []
+            if len(files) != 1:
+                found = ", ".join(path.name for path in files) or "none"
+                raise FileNotFoundError(
+                    f"{folder}: expected one file with 'blender' in its name, found {found}"
+                )
+            self._rows[building, date] = _Flight(files[0])
+        return self._rows[building, date]
+
+    def load(self, index: int) -> Raw:
+        """The sample as it is on the disk.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            The sample.
+
+        Raises:
+            FileNotFoundError: Its image or mask is missing.
+            DataError: Its image or mask is broken.
+
+        Example:
+            >>> UavaDataset("UAVA", "val").load(0).size  # doctest: +SKIP
+            (240, 320)
+        """
+        item = self._items[index]
+        whose = f"sample {item.name!r}"
+        image = read_rgb(item.image, whose)
+        mask = None if item.mask is None else read_mask(item.mask, whose)
+        one_size(image, mask, f"{item.image}: {whose}")
+        rows, columns = image.shape[:2]
+        camera = Camera.from_fov(columns, rows, horizontal_deg=self.horizontal_deg)
+        return Raw(image, mask, camera.K, item.R, item.t, item.name)
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """Indices of the two time steps of each row of which both are here.
+
+        Returns:
+            ``(index of frame 0, index of frame 1)``.
+
+        Example:
+            >>> UavaDataset("UAVA", "val").pairs()[0]  # doctest: +SKIP
+            (0, 1)
+        """
+        place = {name: index for index, name in enumerate(self.names)}
+        out = []
+        for index, item in enumerate(self._items):
+            other = place.get(f"{item.name[:-1]}1")
+            if item.frame == 0 and other is not None:
+                out.append((index, other))
+        return out
+
+
+def buildings(path: Path) -> list[tuple[str, str]]:
+    """The buildings of a split, a line each, with their place ``FILE:LINE``.
+
+    Args:
+        path: ``scenes_SPLIT.txt``.
+
+    Returns:
+        Names and places, in the order of the file.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DataError: A name occurs twice, or there is none.
+
+    Example:
+        >>> buildings(Path("data splits/scenes_val.txt"))[0]  # doctest: +SKIP
+        ('2azQ1b91cZZ', 'data splits/scenes_val.txt:1')
+    """
+    if not path.is_file():
+        missing(path, "the list of the buildings of a split")
+    found: dict[str, str] = {}
+    for line, text in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+        name = text.strip()
+        if name in found:
+            raise DataError(f"{path}:{line}: {name} again, first in {found[name]}")
+        if name:
+            found[name] = f"{path}:{line}"
+    if not found:
+        raise DataError(f"{path}: names no building")
+    return list(found.items())
+
+
+def parse_name(path: Path) -> tuple[int, str, int, str]:
+    """Row, date, time step and view of an image's name.
+
+    Args:
+        path: ``ROW_DATE_FRAME_MODALITY_VIEW_REST``; the modality may hold one underscore.
+
+    Returns:
+        ``(row, date, frame, view)``.
+
+    Raises:
+        DataError: The name is of another form.
+
+    Example:
+        >>> parse_name(Path("12_2019-12-24-13-30-23_0_combined_exocentric_0000.png"))
+        (12, '2019-12-24-13-30-23', 0, 'exocentric')
+    """
+    parts = path.name.split("_")
+    if len(parts) not in (6, 7) or not (parts[0].isdecimal() and parts[2].isdecimal()):
+        raise DataError(
+            f"{path}: expected a name like ROW_DATE_FRAME_MODALITY_VIEW_REST with whole numbers "
+            f"for ROW and FRAME"
+        )
+    return int(parts[0]), parts[1], int(parts[2]), parts[-2]
+
+
+class _Flight:
+    """The rows of a file of a flight."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        text = path.read_text(encoding="utf-8-sig")
+        reader = csv.DictReader(io.StringIO(text, newline=""), delimiter="\t")
+        absent = [name for name in self.columns() if name not in (reader.fieldnames or [])]
+        if absent:
+            raise DataError(f"{path}:1: the header has no {', '.join(absent)} (separated by tabs)")
+        self.rows = [(reader.line_num, row) for row in reader]
+
+    @staticmethod
+    def columns() -> list[str]:
+        steps = [f"_t{k}" for k in (1, 2)]
+        names = [f"Position({a}){step}" for step in steps for a in _AXES]
+        names += [f"Orientation({a}){step}" for step in steps for a in (*_AXES, "w")]
+        names += [f"Pilot({a})" for a in _AXES]
+        return names + [f"PilotRot({a})" for a in (*_AXES, "w")]
+
+    def pose(self, row: int, frame: int, name: str, axes: str) -> tuple[Array, Array, str]:
+        """``R``, ``t`` of ``cam_from_model`` with OpenCV axes, and the place in the file."""
+        if row >= len(self.rows):
+            raise DataError(
+                f"{self.path}: sample {name!r} needs row {row}, the file has {len(self.rows)} rows"
+            )
+        line, cells = self.rows[row]
+        place = f"{self.path}:{line}: sample {name!r}"
+        step = f"_t{frame + 1}"
+        T_drone = self._vector(cells, "Position({})" + step, place)
+        R_drone = self._rotation(cells, "Orientation({})" + step, place)
+        T_cam = self._vector(cells, "Pilot({})", place)
+        R_cam = self._rotation(cells, "PilotRot({})", place)
+        R, t = R_cam.T @ R_drone, R_cam.T @ (T_drone - T_cam)
+        if axes == "blender":
+            R, t = _OPENCV_FROM_BLENDER @ R, _OPENCV_FROM_BLENDER @ t
+        return check_pose(R, t, place), t, place
+
+    @staticmethod
+    def _vector(
+        cells: dict[str, str], names: str, place: str, axes: Sequence[str] = _AXES
+    ) -> Array:
+        columns = [names.format(a) for a in axes]
+        return np.array([number(cells[c] or "", place, c) for c in columns])
+
+    def _rotation(self, cells: dict[str, str], names: str, place: str) -> Array:
+        q = self._vector(cells, names, place, (*_AXES, "w"))
+        norm = float(np.linalg.norm(q))
+        if abs(norm - 1) > TOLERANCE:
+            raise DataError(
+                f"{place}: column {names.format('x')}: a quaternion of norm {norm:.4g}, expected 1"
+            )
+        return geometry.matrix_from_quat_xyzw(q)
