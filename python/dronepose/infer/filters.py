@@ -82,7 +82,7 @@ class OneEuro:
         >>> f = OneEuro(30.0)
         >>> R, t = f(np.eye(3), np.array([0.0, 0, 1]))
         >>> R, t = f(np.eye(3), np.array([0.0, 0, 1.01]))
-        >>> 1.0 < t[2] < 1.01
+        >>> 1.0 < float(t[2]) < 1.01
         True
     """
 
@@ -331,7 +331,7 @@ def _track(R: ArrayLike, t: ArrayLike) -> Track:
     if len(rotations) != len(translations):
         raise ValueError(f"t: expected {len(rotations)} rows as R has, got {len(translations)}")
     for name, values in (("R", rotations), ("t", translations)):
-        bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
         if bad.any():
             raise ValueError(f"{name}[{int(np.argmax(bad))}]: expected finite numbers")
     return Track(rotations, translations)

@@ -175,7 +175,7 @@ def _silhouette(out: Bytes, mask: NDArray[np.float32], style: Style, thick: int)
     if style.contour is not None:
         inside = (mask >= 0.5).astype(np.uint8)
         outlines, _ = cv2.findContours(inside, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(out, outlines, -1, style.contour, thick, cv2.LINE_AA)
+        cv2.drawContours(out, outlines, -1, style.contour, max(1, thick - 1), cv2.LINE_AA)
 
 
 def _line(
