@@ -11,9 +11,10 @@ import onnx
 import torch
 from torch import nn
 
+from dronepose.model.files import beside
 from dronepose.model.metadata import WeightsError, encode
 from dronepose.model.network import PoseNet
-from dronepose.model.weights import beside, full_metadata
+from dronepose.model.weights import full_metadata
 
 if TYPE_CHECKING:
     import os

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +11,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from dronepose.model.checkpoints import own_state
+from dronepose.model.files import beside
 from dronepose.model.metadata import WeightsError, decode, encode
 from dronepose.model.network import PoseNet
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    import os
+    from collections.abc import Mapping
 
     from torch import Tensor
 
@@ -202,17 +202,6 @@ def model_from_file(path: str | os.PathLike[str]) -> PoseNet:
         False
     """
     return load_weights(None, path).eval()
-
-
-@contextmanager
-def beside(target: Path) -> Iterator[Path]:
-    """A name beside a file to write to; takes the file's place if all went well, or vanishes."""
-    part = target.with_name(f".{target.stem}.{os.getpid()}.part{target.suffix}")
-    try:
-        yield part
-        part.replace(target)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _existing(path: str | os.PathLike[str]) -> Path:
