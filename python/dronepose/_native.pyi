@@ -20,6 +20,7 @@ __all__ = [
     "evaluate",
     "flow",
     "gbuffer",
+    "mask_loss",
     "matrix_from_6d",
     "matrix_from_axis_angle",
     "matrix_from_quat_wxyz",
@@ -29,6 +30,8 @@ __all__ = [
     "orientation_error",
     "projection",
     "quat_wxyz_from_matrix",
+    "scale_images",
+    "signed_distance",
     "silhouette",
     "silhouette_gradients",
     "symmetric_orientation_error",
@@ -267,3 +270,30 @@ def flow(
     """Flow ``(B, H, W, 2)`` in pixels and what became of each point ``(B, H, W)``."""
 
 # -- end of gbuffer --------------------------------------------------------------------------------
+
+def mask_loss(
+    name: str,
+    size: int,
+    sigmas: list[float],
+    eps: float,
+    pred: NDArray[float32] | NDArray[float64],
+    target: NDArray[float32] | NDArray[float64],
+    gradient: NDArray[float32] | NDArray[float64] | None,
+    threads: int,
+) -> NDArray[float64]:
+    """``(B,)`` losses of ``(B, H, W)`` masks; the gradient for ``pred`` into ``gradient``."""
+
+def scale_images(
+    images: NDArray[float32] | NDArray[float64],
+    factors: NDArray[float64],
+    out: NDArray[float32] | NDArray[float64],
+    threads: int,
+) -> None:
+    """Each image of ``(B, H, W)`` times its number of ``(B,)``."""
+
+def signed_distance(
+    target: NDArray[float32] | NDArray[float64],
+    out: NDArray[float32] | NDArray[float64],
+    threads: int,
+) -> None:
+    """Pixels to the outlines of ``(B, H, W)`` masks, negative inside."""

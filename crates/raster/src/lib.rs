@@ -4,12 +4,12 @@
 //! a pose is `cam_from_model`; a quaternion is a unit `glam::DQuat`, and arguments name their
 //! order (`quat_wxyz`, `quat_xyzw`).
 //!
-//! Silhouettes and their gradients are in [`raster`], depth, normals and optical flow in [`gbuffer`],
-//! pose errors in [`metrics`].
+//! Silhouettes and their gradients are in [`raster`], losses that compare them in [`losses`], depth,
+//! normals and optical flow in [`gbuffer`], pose errors in [`metrics`].
 //!
 //! Layers, each of which knows only those before it: `error rotation pose camera threads mesh`, then
-//! `raster`, then `gbuffer`, then `metrics`, then `io`, then `eval`, then `report` and `draw`, then
-//! `cli`, then `python`.
+//! `raster`, then `losses` and `gbuffer`, then `metrics`, then `io`, then `eval`, then `report` and
+//! `draw`, then `cli`, then `python`.
 
 pub mod camera;
 #[cfg(feature = "cli")]
@@ -20,6 +20,7 @@ pub mod error;
 pub mod eval;
 pub mod gbuffer;
 pub mod io;
+pub mod losses;
 pub mod mesh;
 pub mod metrics;
 pub mod pose;

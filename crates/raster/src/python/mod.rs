@@ -7,6 +7,7 @@ mod cli;
 mod error;
 mod evaluate;
 mod gbuffer;
+mod losses;
 mod mesh;
 mod metrics;
 mod silhouette;
@@ -21,6 +22,8 @@ mod _native {
     use super::evaluate::evaluate;
     #[pymodule_export]
     use super::gbuffer::{flow, gbuffer};
+    #[pymodule_export]
+    use super::losses::{mask_loss, scale_images, signed_distance};
     #[pymodule_export]
     use super::mesh::PyMesh;
     #[pymodule_export]
