@@ -235,7 +235,7 @@ class PhotometricAugmentation:
         """
         if generator.random() >= self.probability:
             return image
-        from torchvision.transforms.v2 import (  # type: ignore[import-untyped]
+        from torchvision.transforms.v2 import (
             functional,
         )  # a second: not where it is not used
 

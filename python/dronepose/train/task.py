@@ -120,7 +120,7 @@ class PoseTask(lightning.LightningModule):
         lr: Learning rate of Adam.
         freeze_norm: Keep the statistics of batch normalisation as they are.
         compat: ``"paper"``, or ``"authors"``: the mean over the three coordinates in ``L_t``, means
-            of the means of batches, a GIoU without gradient.
+            of the means of batches in validation and test.
 
     Raises:
         ValueError: A share is outside of 0 to 1, a schedule does not begin at epoch 0, or a name is
@@ -192,11 +192,9 @@ class PoseTask(lightning.LightningModule):
     def objective(self, batch: dict[str, Any]) -> dict[str, Tensor]:
         """The loss and its parts, for a collated batch of samples."""
         R, t = self.model(batch["image"], batch["K"])
-        reduction: Literal["mean", "sum_squares"] = "mean" if self.authors else "sum_squares"
+        form: Literal["paper", "authors"] = "authors" if self.authors else "paper"
         parts = {
-            "translation": losses.translation_loss(
-                t.float(), batch["t"], coordinates="mean" if reduction == "mean" else "sum"
-            ),
+            "translation": losses.translation_loss(t.float(), batch["t"], form=form),
             "rotation": losses.rotation_loss(R.float(), batch["R"]),
         }
         share = self.lambda_exo(self.current_epoch)
@@ -205,7 +203,7 @@ class PoseTask(lightning.LightningModule):
         if self.exo is None or share == 0:
             return {"loss": pose, **parts}
         parts["silhouette"] = self.exo(R, t, batch["K"], batch["mask"])
-        return {"loss": (1 - share) * pose + share * parts["silhouette"], **parts}
+        return {"loss": losses.total_loss(pose, parts["silhouette"], lambda_exo=share), **parts}
 
     def training_step(self, batch: dict[str, Any], batch_idx: int) -> Tensor:
         """One step; the loss and its parts are logged."""
