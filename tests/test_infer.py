@@ -1,8 +1,10 @@
 """``dronepose infer``: pictures, folders, videos; cameras and letterboxes; what it writes."""
 
 import csv
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -329,6 +331,27 @@ class TestRefusals:
         assert len(left) == (0 if kind == "video" else 3)
         for each in left:  # complete ones
             read_picture(each)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_leaves_nothing_half_written(name, weights, tmp_path):
+    file, out = video(tmp_path / "in.mp4", n=200), tmp_path / "out"
+    code = (
+        "import sys, time\nfrom dronepose.infer import run\ndraw = run.draw\n"
+        "def slow(*args, **options):\n    time.sleep(0.05)\n    return draw(*args, **options)\n"
+        "run.draw = slow\nfrom dronepose.cli import dronepose\nsys.exit(dronepose(sys.argv[1:]))"
+    )
+    args = [sys.executable, "-c", code, "infer", file, "-w", weights, "-o", out]
+    with subprocess.Popen([str(a) for a in args], stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 120
+        while not list(out.glob(".*part*")) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert process.poll() is None
+        process.send_signal(getattr(signal, name))
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "interrupted" in err
+    assert not list(out.iterdir())
 
 
 class TestOverlay:
