@@ -1,8 +1,10 @@
 """``dronepose infer``: pictures, folders, videos; cameras and letterboxes; what it writes."""
 
 import csv
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -12,9 +14,9 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 pytest.importorskip("onnx", reason="onnx is not installed")
 
 import finder  # noqa: E402
-from dronepose import Camera, Mesh  # noqa: E402
+from dronepose import Camera  # noqa: E402
 from dronepose.commands import infer as command  # noqa: E402
-from dronepose.infer import Fit, Predictor, Source, Style, color, draw  # noqa: E402
+from dronepose.infer import Fit, Predictor, Source, draw  # noqa: E402
 from dronepose.infer.sources import read_picture  # noqa: E402
 from dronepose.infer.video import video_writer  # noqa: E402
 from dronepose.model import WeightsError, file_sha256  # noqa: E402
@@ -331,68 +333,55 @@ class TestRefusals:
             read_picture(each)
 
 
-class TestOverlay:
-    CAMERA = Camera.from_fov(160, 120, vertical_deg=50)
+def test_ctrl_c_ends_the_recording_of_a_camera(weights, tmp_path, capsys, monkeypatch):
+    from dronepose.infer import run as runner
+    from dronepose.infer import sources
 
-    def drawn(self, t=(0, 0, 1), **style):
-        parts = {"fill": None, "contour": None, "box": None, "axes": False, **style}
-        frame = np.full((120, 160, 3), 100, dtype=np.uint8)
-        mesh = Mesh.from_file(MESH)
-        return draw(frame, self.CAMERA, np.eye(3), t, mesh=mesh, style=Style(**parts))
+    def endless(name):
+        assert name == 0
+        while True:
+            yield finder.spot(48, 64, 30, 20, 6)
 
-    def test_nothing_asked_for_draws_nothing(self):
-        assert (self.drawn() == 100).all()
+    calls = []
 
-    def test_the_fill_is_the_silhouette(self):
-        from dronepose.render import silhouette
+    def stop(*args, **options):
+        calls.append(1)
+        if len(calls) == 5:
+            raise KeyboardInterrupt
+        return draw(*args, **options)
 
-        out = self.drawn(fill=(255, 0, 0), alpha=1.0)
-        mask = silhouette(Mesh.from_file(MESH), self.CAMERA, np.eye(3)[None], [[0, 0, 1]])[0]
-        expected = 100 + mask * 155
-        np.testing.assert_allclose(out[..., 0], expected, atol=0.51)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sources, "_capture", endless)
+    monkeypatch.setattr(runner, "draw", stop)
+    code, text, err = infer(
+        capsys, "0", "-w", weights, "-o", "out", "--filter", "one-euro", "--json"
+    )
+    assert (code, err) == (0, "")
+    assert loads(text)["frames"] == len(rows(tmp_path / "out/poses.csv")) == 4
+    assert len(list(Source(str(tmp_path / "out/overlay.mp4")).frames())) == 4
+    code, _, err = infer(capsys, "0", "-w", weights, "-o", "out2", "--filter", "rts")
+    assert (code, "needs a recording" in err) == (1, True)
 
-    def test_axes_end_where_they_project(self):
-        out = self.drawn(axes=True, t=(0.05, -0.03, 1.2)).astype(int)
-        length = 0.5 * np.linalg.norm(np.ptp(Mesh.from_file(MESH).bounds, axis=0))
-        for axis, channel in ((0, 0), (1, 1)):
-            seen = self.CAMERA.K @ (np.array([0.05, -0.03, 1.2]) + length * np.eye(3)[axis])
-            u, v = seen[:2] / seen[2]
-            others = [c for c in range(3) if c != channel]
-            colored = (out[..., channel] - out[..., others].max(axis=2)) > 60
-            points = np.argwhere(colored)[:, ::-1] + 0.5
-            assert np.linalg.norm(points - [u, v], axis=1).min() < 2.0
-            assert points[:, axis].max() == pytest.approx((u, v)[axis], abs=2.5)
 
-    def test_the_box_holds_the_silhouette(self):
-        box = self.drawn(box=(0, 255, 0))[..., 1] > 180
-        fill = self.drawn(fill=(255, 0, 0), alpha=1.0)[..., 0] > 180
-        for axis in (0, 1):
-            of_box, of_fill = (np.flatnonzero(m.any(axis=axis)) for m in (box, fill))
-            assert of_box[0] <= of_fill[0] + 1
-            assert of_box[-1] >= of_fill[-1] - 1
-
-    @pytest.mark.parametrize("t", [(0, 0, -1), (0, 0, 0), (5, 0, 0.001), (1e6, 0, 1), (0, 0, 1e9)])
-    def test_any_pose_can_be_drawn(self, t):
-        parts = {"fill": (1, 2, 3), "contour": (9, 9, 9), "box": (7, 7, 7), "axes": True}
-        assert self.drawn(t=t, **parts).shape == (120, 160, 3)
-
-    def test_the_frame_is_left_alone(self):
-        frame = np.zeros((120, 160, 3), dtype=np.uint8)
-        draw(frame, self.CAMERA, np.eye(3), [0, 0, 1])
-        assert not frame.any()
-
-    def test_wrong_arguments(self):
-        frame = np.zeros((12, 16, 3), dtype=np.uint8)
-        with pytest.raises(ValueError, match=r"^frame: "):
-            draw(frame, self.CAMERA, np.eye(3), [0, 0, 1])
-        with pytest.raises(ValueError, match=r"^R, t: expected finite"):
-            draw(np.zeros((120, 160, 3), np.uint8), self.CAMERA, np.eye(3), [0, 0, np.nan])
-        with pytest.raises(ValueError, match=r"^alpha: "):
-            Style(alpha=2.0)
-
-    def test_colours(self):
-        assert color("#0a0B0c") == (10, 11, 12)
-        assert color("none") is None
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_leaves_nothing_half_written(name, weights, tmp_path):
+    file, out = video(tmp_path / "in.mp4", n=200), tmp_path / "out"
+    code = (
+        "import sys, time\nfrom dronepose.infer import run\ndraw = run.draw\n"
+        "def slow(*args, **options):\n    time.sleep(0.05)\n    return draw(*args, **options)\n"
+        "run.draw = slow\nfrom dronepose.cli import dronepose\nsys.exit(dronepose(sys.argv[1:]))"
+    )
+    args = [sys.executable, "-c", code, "infer", file, "-w", weights, "-o", out]
+    with subprocess.Popen([str(a) for a in args], stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 120
+        while not list(out.glob(".*part*")) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert process.poll() is None
+        process.send_signal(getattr(signal, name))
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "interrupted" in err
+    assert not list(out.iterdir())
 
 
 class TestSources:

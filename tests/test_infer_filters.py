@@ -154,6 +154,28 @@ def test_one_blunder_does_not_bend_the_track():
     assert np.degrees(turned) < 12.0
 
 
+def test_a_track_that_jumps_is_followed():
+    """A cut in the video: away from it, both parts are as smooth as ever."""
+    truth, noisy = flight(), flight(sigma=SIGMA)
+    moved = np.r_[np.zeros(75), np.ones(75)][:, None] * [0.8, -0.5, 1.0]
+    half = np.diag([-1.0, 1.0, -1.0])
+    turns = np.where(np.arange(150)[:, None, None] < 75, np.eye(3), half)
+    truth = Track(turns @ truth.R, truth.t + moved)
+    found = rts(turns @ noisy.R, noisy.t + moved, RATE)
+    for part in (np.s_[:70], np.s_[85:]):
+        after = errors(Track(*(v[part] for v in found)), Track(*(v[part] for v in truth)))
+        assert (after < [0.02, np.radians(4.0)]).all(), after
+
+
+def test_a_blunder_at_the_start_is_left_behind():
+    truth, noisy = flight(), flight(sigma=SIGMA)
+    noisy.t[0] += 2.0
+    noisy.R[0] = np.diag([-1.0, -1.0, 1.0]) @ noisy.R[0]
+    found = rts(*noisy, RATE)
+    after = errors(Track(found.R[12:], found.t[12:]), Track(truth.R[12:], truth.t[12:]))
+    assert (after < [0.02, np.radians(4.0)]).all(), after
+
+
 def test_the_noise_is_found():
     found = noise(*flight(600, sigma=SIGMA))
     np.testing.assert_allclose(found, SIGMA, rtol=0.12)

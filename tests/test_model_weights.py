@@ -326,6 +326,17 @@ class TestOnnx:
         assert found["seed"] == 8
         np.testing.assert_array_equal(found["intrinsics"], CAMERA.K)
 
+    def test_the_command_takes_a_checkpoint_of_the_authors(self, authors, tmp_path):
+        theirs, out = tmp_path / "theirs.pth", tmp_path / "w.safetensors"
+        torch.save({"model_state_dict": authors.state_dict()}, theirs)
+        done = run("export", "--weights", theirs, "--size", "320x240", "--fov", "50.8",
+                   "--out", out, name="dronepose")  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        found = read_metadata(out)
+        assert found["image_size"] == (240, 320)
+        assert found["intrinsics"][1, 1] == pytest.approx(120 / np.tan(np.radians(25.4)))
+        same(model_from_file(theirs), model_from_file(out), images())
+
     def test_the_command_refuses(self, tmp_path):
         done = run("export", "--weights", tmp_path / "no.safetensors", "--out", tmp_path / "m.onnx",
                    name="dronepose")  # fmt: skip

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
+import threading
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from dronepose.camera import Camera
 
@@ -60,7 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(stop.code or 0)
     progress = _Progress(options.quiet)
     try:
-        summary = _run(options, progress)
+        with _stoppable():
+            summary = _run(options, progress)
     except (OSError, ValueError, TypeError, ImportError) as error:
         progress.end()
         print(f"error: {error}", file=sys.stderr)
@@ -75,6 +79,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     elif not options.quiet:
         print(_sentences(summary))
     return 0
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """A request to terminate and a hang-up clean up as Ctrl-C does."""
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]
+        before = {number: signal.signal(number, stop) for number in numbers if number is not None}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _parser() -> argparse.ArgumentParser:

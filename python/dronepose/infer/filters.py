@@ -23,6 +23,8 @@ __all__ = ["OneEuro", "Track", "jitter", "noise", "one_euro", "rts"]
 Array = NDArray[np.float64]
 #: Median of the norm of three independent normal numbers of unit variance.
 _MEDIAN_NORM = 1.5382
+#: Measurements in a row that are taken for blunders.
+_PATIENCE = 5
 #: Noise below which a measurement is taken as exact enough: 0.1 mm, 0.01 degrees.
 _FLOOR = (1e-4, math.radians(0.01))
 
@@ -222,9 +224,10 @@ def rts(
     Constant velocity driven by white acceleration: Rauch, Tung and Striebel, "Maximum likelihood
     estimates of linear dynamic systems", AIAA Journal 1965. Positions are exact; rotations are
     smoothed in the tangent space at each estimate, to first order in the turn between two frames.
-    A measurement far from the prediction (more than 5 standard deviations in any direction) has its
+    A measurement far from the prediction (more than 5 standard deviations) has its
     variance raised so that it counts as one at that distance, which keeps single blunders from
-    bending the track.
+    bending the track; after five of these in a row it is the track that has jumped, and it starts
+    anew there.
 
     Args:
         R: ``(N, 3, 3)`` rotations.
@@ -267,13 +270,19 @@ def _smooth(space: Space, values: Array, dt: float, sigma: float, acceleration: 
         return values
     x, v = values[0], np.zeros(3)
     P = np.diag([sigma**2, (10.0 * acceleration * dt + sigma / dt) ** 2])
+    start, far = P, 0
     after = [(x, v, P)]
     before = [(x, v, P)]
     for measured in values[1:]:
         x, P = space.plus(x, dt * v), F @ P @ F.T + Q
-        before.append((x, v, P))
         step = space.minus(measured, x)
         variance = float(P[0, 0]) + sigma**2
+        far = far + 1 if float(step @ step) > 25.0 * variance else 0
+        if far > _PATIENCE:
+            # A cut: as uncertain as at the start, around a place that may be that far away.
+            P = P + start + np.diag([float(step @ step), 0.0])
+            variance, far = float(P[0, 0]) + sigma**2, 0
+        before.append((x, v, P))
         variance *= max(1.0, float(step @ step) / (25.0 * variance))
         gain = P[:, 0] / variance
         x, v = space.plus(x, gain[0] * step), v + gain[1] * step

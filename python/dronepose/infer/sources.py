@@ -190,6 +190,8 @@ def _decode_av(path: Path) -> Iterator[Bytes]:
 
 
 def _capture(name: str | int) -> Iterator[Bytes]:
+    # What goes wrong is said below, once.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     capture = cv2.VideoCapture(name)
     try:
         if not capture.isOpened():

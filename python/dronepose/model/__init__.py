@@ -58,9 +58,9 @@ def __getattr__(name: str) -> Any:
         missing = (error.name or "").partition(".")[0]
         if missing == "dronepose":
             raise
+        wanted = "onnx onnxscript onnxruntime" if "onnx" in missing else '"dronepose[train]"'
         raise ImportError(
-            f"dronepose.model.{name} needs {missing}, which is not installed: "
-            'pip install "dronepose[train]"'
+            f"dronepose.model.{name} needs {missing}, which is not installed: pip install {wanted}"
         ) from error
     value = getattr(module, name)
     globals()[name] = value

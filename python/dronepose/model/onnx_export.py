@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import onnx
+import onnxruntime  # type: ignore[import-untyped,unused-ignore]
+import onnxscript  # noqa: F401 - the exporter's, asked for before the work begins
 import torch
 from torch import nn
 
@@ -175,8 +177,6 @@ def _write(exported: _Tuple, part: Path, height: int, width: int, opset: int) ->
 
 
 def _compare(exported: _Tuple, part: Path, height: int, width: int) -> float:
-    import onnxruntime  # type: ignore[import-untyped,unused-ignore]
-
     session = onnxruntime.InferenceSession(part, providers=["CPUExecutionProvider"])
     largest = 0.0
     for batch in _BATCHES:
