@@ -121,6 +121,7 @@ def test_other_settings_are_refused(toy, tmp_path):
         ({"distance": (2.0, 1.0)}, "distance: expected 0 < nearest <= farthest"),
         ({"max_tilt_deg": 200.0}, "max_tilt_deg: expected 0 to 180"),
         ({"horizontal_deg": 0.0}, "horizontal_deg: "),
+        ({"distance": (0.1, 1.0)}, "distance: expected more than 0.2"),
         ({"up": "x"}, "up: expected 'y' or 'z'"),
         ({"counts": {"tran": 1}}, "counts: expected train, val, test, got 'tran'"),
         ({"counts": {"train": -1}}, "counts: expected 0 to"),
@@ -172,6 +173,9 @@ def test_backgrounds_from_a_folder(tmp_path):
         far = cv2.dilate(mask, np.ones((9, 9))) == 0
         kinds.add(bool(image[far].std() < 15))  # a flat panorama, or a ramp
     assert kinds == {True, False}
+    cv2.imwrite(str(photos / "a.png"), np.zeros((60, 90, 3), np.uint8))
+    with pytest.raises(DataError, match="holds a data set of other backgrounds"):
+        write_toyset(tmp_path / "set", counts={"train": 6}, **settings)
     (tmp_path / "none").mkdir()
     with pytest.raises(DataError, match="no images, expected"):
         write_toyset(tmp_path / "x", counts={"train": 1}, backgrounds=str(tmp_path / "none"))

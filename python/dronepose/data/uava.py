@@ -16,7 +16,7 @@ from dronepose.camera import Camera
 from dronepose.data._errors import DataError, missing
 from dronepose.data._images import read_mask, read_rgb
 from dronepose.data._poses import TOLERANCE, check_pose, number
-from dronepose.data.sample import PoseDataset, Raw, one_size
+from dronepose.data.sample import PoseDataset, Raw, check_sizes
 
 if TYPE_CHECKING:
     import os
@@ -229,7 +229,7 @@ class UavaDataset(PoseDataset):
         whose = f"sample {item.name!r}"
         image = read_rgb(item.image, whose)
         mask = None if item.mask is None else read_mask(item.mask, whose)
-        one_size(image, mask, f"{item.image}: {whose}")
+        check_sizes(image, mask, f"{item.image}: {whose}")
         rows, columns = image.shape[:2]
         camera = Camera.from_fov(columns, rows, horizontal_deg=self.horizontal_deg)
         return Raw(image, mask, camera.K, item.R, item.t, item.name)
