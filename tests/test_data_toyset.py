@@ -2,11 +2,12 @@
 
 import hashlib
 import json
+import subprocess
 
 import numpy as np
 import pytest
 
-from support import EXAMPLES, evaluate, run
+from support import EXAMPLES, command, evaluate, run
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
 
@@ -100,6 +101,19 @@ def test_shards_make_the_same_set(toy, tmp_path):
     second = write_toyset(root, counts=COUNTS, shard=(0, 2), **SMALL)
     assert second["complete"]
     assert first["written"] + second["written"] == 8
+    assert content(root) == content(toy)
+
+
+def test_shards_run_at_the_same_time(toy, tmp_path):
+    root = tmp_path / "set"
+    options = ["--train", "5", "--val", "2", "--test", "1", "--seed", "7", "--size", "48x64"]
+    running = [
+        subprocess.Popen(
+            [*command("dronepose"), "toyset", str(root), *options, "--shard", f"{k}/3"]
+        )
+        for k in range(3)
+    ]
+    assert [process.wait(timeout=120) for process in running] == [0, 0, 0]
     assert content(root) == content(toy)
 
 

@@ -409,7 +409,7 @@ def _begin(root: Path, manifest: dict[str, Any], mesh: bytes) -> None:
                     f"{path}: holds a data set of other {key}: {before.get(key)}, "
                     f"asked for {manifest.get(key)}; choose another folder, or remove this one"
                 )
-    elif root.exists() and any(root.iterdir()):
+    elif root.exists() and any(not file.name.startswith(".") for file in root.iterdir()):
         raise DataError(f"{root}: is not empty and holds no data set; choose another folder")
     root.mkdir(parents=True, exist_ok=True)
     if not path.exists():
