@@ -3,6 +3,8 @@
 import json
 import re
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -198,3 +200,43 @@ def test_a_set_that_is_not_whole_is_refused(copy):
     file.write_text(json.dumps(manifest))
     with pytest.raises(FileNotFoundError, match=r"val: no such folder, expected a split"):
         FolderDataset(copy, "val")
+
+
+@pytest.mark.parametrize("absent", ["torch", "cv2", "lightning"])
+def test_what_is_not_installed_is_named(absent):
+    code = (
+        f"import sys; sys.modules[{absent!r}] = None\n"
+        "import dronepose.data\n"
+        "assert 'numpy' not in sys.modules\n"
+        "try:\n"
+        "    dronepose.data.PoseDataModule\n"
+        "except ImportError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    wanted = (
+        f'PoseDataModule needs {absent}, which is not installed: pip install "dronepose[train]"'
+    )
+    assert wanted in done.stdout
+
+
+def test_the_toy_set_needs_no_torch(tmp_path):
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "from dronepose.data import write_toyset\n"
+        f"write_toyset({str(tmp_path / 'set')!r}, counts={{'train': 1}})\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+    assert (tmp_path / "set/train/images/000000.png").exists()
+
+
+def test_every_public_name_resolves():
+    import dronepose.data
+
+    for name in dronepose.data.__all__:
+        assert getattr(dronepose.data, name) is not None
+        assert name in dir(dronepose.data)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = dronepose.data.nothing

@@ -132,6 +132,18 @@ def test_ranks_share_the_order(size):
     assert sorted(scored) == list(range(size))  # nothing twice
 
 
+def test_the_process_group_is_asked(root, monkeypatch):
+    for name, value in (("is_initialized", True), ("get_world_size", 3), ("get_rank", 1)):
+        monkeypatch.setattr(torch.distributed, name, lambda value=value: value)
+    data = PoseDataModule(root, batch_size=4, seed=5)
+    alone = EpochSampler(10, shuffle=True, seed=5, rank=0, world_size=1)
+    own = [f"train-{number:06d}" for _, number in alone][1::3]
+    taken = names(data.train_dataloader())
+    assert taken[:3] == own
+    assert len(taken) == 4  # the order is lengthened to twelve
+    assert names(data.val_dataloader()) == ["val-000001"]
+
+
 def test_images_are_resized_with_their_camera(root):
     data = PoseDataModule(root, batch_size=10, height=24, width=32)
     batch = next(iter(data.val_dataloader()))

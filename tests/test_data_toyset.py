@@ -2,11 +2,12 @@
 
 import hashlib
 import json
+import subprocess
 
 import numpy as np
 import pytest
 
-from support import EXAMPLES, evaluate, run
+from support import EXAMPLES, command, evaluate, run
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
 
@@ -103,6 +104,19 @@ def test_shards_make_the_same_set(toy, tmp_path):
     assert content(root) == content(toy)
 
 
+def test_shards_run_at_the_same_time(toy, tmp_path):
+    root = tmp_path / "set"
+    options = ["--train", "5", "--val", "2", "--test", "1", "--seed", "7", "--size", "48x64"]
+    running = [
+        subprocess.Popen(
+            [*command("dronepose"), "toyset", str(root), *options, "--shard", f"{k}/3"]
+        )
+        for k in range(3)
+    ]
+    assert [process.wait(timeout=120) for process in running] == [0, 0, 0]
+    assert content(root) == content(toy)
+
+
 def test_other_settings_are_refused(toy, tmp_path):
     with pytest.raises(DataError, match=r"dataset\.json: holds a data set of other settings"):
         write_toyset(toy, counts=COUNTS, **{**SMALL, "seed": 8})
@@ -121,6 +135,7 @@ def test_other_settings_are_refused(toy, tmp_path):
         ({"distance": (2.0, 1.0)}, "distance: expected 0 < nearest <= farthest"),
         ({"max_tilt_deg": 200.0}, "max_tilt_deg: expected 0 to 180"),
         ({"horizontal_deg": 0.0}, "horizontal_deg: "),
+        ({"distance": (0.1, 1.0)}, "distance: expected more than 0.2"),
         ({"up": "x"}, "up: expected 'y' or 'z'"),
         ({"counts": {"tran": 1}}, "counts: expected train, val, test, got 'tran'"),
         ({"counts": {"train": -1}}, "counts: expected 0 to"),
@@ -172,6 +187,9 @@ def test_backgrounds_from_a_folder(tmp_path):
         far = cv2.dilate(mask, np.ones((9, 9))) == 0
         kinds.add(bool(image[far].std() < 15))  # a flat panorama, or a ramp
     assert kinds == {True, False}
+    cv2.imwrite(str(photos / "a.png"), np.zeros((60, 90, 3), np.uint8))
+    with pytest.raises(DataError, match="holds a data set of other backgrounds"):
+        write_toyset(tmp_path / "set", counts={"train": 6}, **settings)
     (tmp_path / "none").mkdir()
     with pytest.raises(DataError, match="no images, expected"):
         write_toyset(tmp_path / "x", counts={"train": 1}, backgrounds=str(tmp_path / "none"))

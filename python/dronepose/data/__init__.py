@@ -64,10 +64,11 @@ def __getattr__(name: str) -> Any:
     try:
         value = getattr(import_module(f"dronepose.data.{_HOME[name]}"), name)
     except ModuleNotFoundError as error:
-        if (error.name or "").startswith("dronepose"):
+        absent = (error.name or "").partition(".")[0]
+        if absent == "dronepose":
             raise
         raise ImportError(
-            f"dronepose.data.{name} needs {error.name}, which is not installed: "
+            f"dronepose.data.{name} needs {absent}, which is not installed: "
             'pip install "dronepose[train]"'
         ) from error
     globals()[name] = value

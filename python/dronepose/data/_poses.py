@@ -73,6 +73,8 @@ def check_pose(R: Array, t: Array, place: str) -> Array:
             f"{place}: the model is behind the camera: z = {t[2]:g} m, expected above 0 "
             "(OpenCV axes: z forward)"
         )
+    if off < 1e-14:
+        return R
     u, _, v = np.linalg.svd(R)
     nearest: Array = u @ v
     return nearest

@@ -56,6 +56,7 @@ class GeometricAugmentation:
         ValueError: A value is out of its range; the message starts with its name.
 
     Example:
+        >>> from dronepose.data import Raw
         >>> augment = GeometricAugmentation(rotation_deg=15)
         >>> K = np.array([[4.0, 0, 3], [0, 4, 2], [0, 0, 1]])
         >>> raw = Raw(np.zeros((4, 6, 3), np.uint8), None, K, np.eye(3), np.array([0, 0, 1.0]), "a")
@@ -145,7 +146,11 @@ def rotated(raw: Raw, angle: float, *, pixels: bool = True) -> Raw:
     Returns:
         The sample with ``R' = Rz R``, ``t' = Rz t`` and the same ``K``.
 
+    Raises:
+        numpy.linalg.LinAlgError: ``K`` has no inverse.
+
     Example:
+        >>> from dronepose.data import Raw
         >>> K = np.array([[4.0, 0, 3], [0, 4, 2], [0, 0, 1]])
         >>> raw = Raw(np.zeros((4, 6, 3), np.uint8), None, K, np.eye(3), np.array([1, 0, 1.0]), "a")
         >>> rotated(raw, np.pi / 2).t.round(9).tolist()

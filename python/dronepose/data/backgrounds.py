@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,9 @@ def procedural(height: int, width: int, generator: np.random.Generator) -> Pictu
 
     Returns:
         ``(H, W, 3)`` float32, RGB in ``[0, 1]``.
+
+    Raises:
+        ValueError: A size is negative.
 
     Example:
         >>> procedural(6, 8, np.random.default_rng(0)).shape
@@ -70,6 +74,9 @@ def noise(
 
     Returns:
         ``(H, W, channels)`` float32 in ``[0, 1]``.
+
+    Raises:
+        ValueError: A size is negative.
 
     Example:
         >>> noise(6, 8, np.random.default_rng(0), channels=1).shape
@@ -244,6 +251,15 @@ class Photographs:
         self.files = files
         self.horizontal_deg = horizontal_deg
         self._kept: tuple[Path, Picture] | None = None
+
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of each file, by its name.
+
+        Example:
+            >>> Photographs("photos", 64.69).hashes()  # doctest: +SKIP
+            {'atrium.hdr': '5f70bf18a086...'}
+        """
+        return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in self.files}
 
     def __call__(self, height: int, width: int, generator: np.random.Generator) -> Picture:
         """A background, ``(H, W, 3)`` float32 in ``[0, 1]``."""

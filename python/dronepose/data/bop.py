@@ -13,7 +13,7 @@ from dronepose.camera import Camera
 from dronepose.data._errors import DataError, missing
 from dronepose.data._images import read_mask, read_rgb
 from dronepose.data._poses import check_pose
-from dronepose.data.sample import PoseDataset, Raw, one_size
+from dronepose.data.sample import PoseDataset, Raw, check_sizes
 
 if TYPE_CHECKING:
     import os
@@ -184,7 +184,7 @@ class BopDataset(PoseDataset):
         if self.mask is not None:
             file = item.scene / self.mask / f"{item.number:06d}_{item.instance:06d}.png"
             mask = read_mask(file, whose)
-        one_size(image, mask, whose)
+        check_sizes(image, mask, whose)
         try:
             K = Camera.from_K(item.K, image.shape[1], image.shape[0]).K
         except ValueError as error:

@@ -12,7 +12,7 @@ from dronepose.data._errors import DataError, missing
 from dronepose.data._images import read_mask, read_rgb
 from dronepose.data._manifest import FORMAT, SPLITS
 from dronepose.data._poses import number, read_poses
-from dronepose.data.sample import PoseDataset, Raw, one_size
+from dronepose.data.sample import PoseDataset, Raw, check_sizes
 from dronepose.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ class FolderDataset(PoseDataset):
         mask = None
         if self.has_masks:
             mask = read_mask((self.folder / "masks" / file).with_suffix(".png"), whose)
-        one_size(image, mask, place)
+        check_sizes(image, mask, place)
         K = self._matrix(row, place, (image.shape[0], image.shape[1]))
         return Raw(image, mask, K, row.R, row.t, row.name)
 

@@ -209,12 +209,15 @@ class PoseDataModule(LightningDataModule):
         Args:
             stage: ``"fit"``, ``"validate"``, ``"test"``, ``"predict"``, or ``None`` for all.
 
+        Returns:
+            Nothing; the loaders have their data.
+
         Raises:
             FileNotFoundError: A file is missing.
             DataError: A file is wrong.
 
         Example:
-            See the class.
+            >>> PoseDataModule("toy").setup("fit")  # doctest: +SKIP
         """
         train, val, test = self.splits
         if stage in ("fit", None):
@@ -238,7 +241,7 @@ class PoseDataModule(LightningDataModule):
             The loader; a new one starts at epoch 0, or at the trainer's.
 
         Example:
-            See the class.
+            >>> PoseDataModule("toy").train_dataloader()  # doctest: +SKIP
         """
         return self._loader("train", shuffle=True)
 
@@ -249,7 +252,7 @@ class PoseDataModule(LightningDataModule):
             The loader.
 
         Example:
-            See the class.
+            >>> PoseDataModule("toy").val_dataloader()  # doctest: +SKIP
         """
         return [] if self.splits[1] is None else self._loader("val")
 
@@ -260,7 +263,7 @@ class PoseDataModule(LightningDataModule):
             The loader.
 
         Example:
-            See the class.
+            >>> PoseDataModule("toy").test_dataloader()  # doctest: +SKIP
         """
         return self._loader("test")
 
@@ -271,7 +274,7 @@ class PoseDataModule(LightningDataModule):
             The loader.
 
         Example:
-            See the class.
+            >>> PoseDataModule("toy").predict_dataloader()  # doctest: +SKIP
         """
         return self._loader("test")
 
@@ -301,6 +304,12 @@ def one_thread(worker: int) -> None:
 
     Args:
         worker: Its number.
+
+    Returns:
+        Nothing.
+
+    Raises:
+        Nothing.
 
     Example:
         >>> one_thread(0)

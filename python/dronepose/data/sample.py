@@ -94,6 +94,9 @@ def resized(raw: Raw, height: int, width: int) -> Raw:
     Returns:
         The sample with image and mask of this size, averaged over areas where they shrink.
 
+    Raises:
+        cv2.error: A size is below 1.
+
     Example:
         >>> K = np.array([[4.0, 0, 3], [0, 4, 2], [0, 0, 1]])
         >>> raw = Raw(np.zeros((4, 6, 3), np.uint8), None, K, np.eye(3), np.ones(3), "a")
@@ -122,6 +125,9 @@ def to_sample(raw: Raw) -> Sample:
 
     Returns:
         Tensors of their own memory.
+
+    Raises:
+        TypeError: An array is of another type.
 
     Example:
         >>> raw = Raw(np.zeros((4, 6, 3), np.uint8), None, np.eye(3), np.eye(3), np.ones(3), "a")
@@ -202,7 +208,7 @@ class PoseDataset(Dataset[Sample], ABC):
             DataError: A file of it is broken.
 
         Example:
-            See :class:`dronepose.data.FolderDataset`.
+            >>> FolderDataset("toy", "train").load(0)  # doctest: +SKIP
         """
 
     def __len__(self) -> int:
@@ -225,11 +231,22 @@ class PoseDataset(Dataset[Sample], ABC):
         return sample
 
 
-def one_size(image: Bytes, mask: Bytes | None, place: str) -> None:
+def check_sizes(image: Bytes, mask: Bytes | None, place: str) -> None:
     """Raise unless image and mask have the same size.
 
+    Args:
+        image: ``(H, W, 3)`` uint8.
+        mask: ``(H, W)`` uint8 or ``None``.
+        place: File and sample, for the message.
+
+    Returns:
+        Nothing.
+
     Raises:
-        DataError: They do not; ``place`` says where.
+        DataError: They do not.
+
+    Example:
+        >>> check_sizes(np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.uint8), "a.png")
     """
     if mask is not None and mask.shape != image.shape[:2]:
         raise DataError(

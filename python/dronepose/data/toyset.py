@@ -65,8 +65,8 @@ class ToySettings:
         ValueError: A value is out of its range; the message starts with its name.
 
     Example:
-        >>> ToySettings(height=60, width=80).camera.fx
-        63.1780...
+        >>> round(ToySettings(height=60, width=80).camera.fx, 3)
+        63.164
     """
 
     height: int = 120
@@ -116,6 +116,9 @@ def toy_pose(settings: ToySettings, generator: np.random.Generator) -> tuple[Arr
     Returns:
         ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, metres, and up in the world,
         ``(3,)``, camera frame; all float64.
+
+    Raises:
+        AttributeError: ``settings`` are none.
 
     Example:
         >>> R, t, up = toy_pose(ToySettings(), np.random.default_rng(0))
@@ -314,9 +317,17 @@ def write_toyset(
         raise ValueError(f"shard: expected (k, n) with 0 <= k < n, got {shard}")
     root = Path(root)
     drone, content = _mesh(mesh)
-    manifest = _manifest(settings, numbers, content)
-    _begin(root, manifest, content)
+    radius = float(np.linalg.norm(drone.vertices, axis=1).max())
+    if settings.distance[0] <= radius:
+        raise ValueError(
+            f"distance: expected more than {radius:.3g} m, the reach of the drone about its "
+            f"origin, got {settings.distance[0]}"
+        )
     studio = _Studio(settings, painted(drone, settings.up))
+    manifest = _manifest(settings, numbers, content)
+    if isinstance(studio.background, Photographs):
+        manifest["backgrounds"] = studio.background.hashes()
+    _begin(root, manifest, content)
     total, there, written = sum(numbers.values()), 0, 0
     for split, count in numbers.items():
         images, masks = root / split / "images", root / split / "masks"
@@ -392,13 +403,13 @@ def _begin(root: Path, manifest: dict[str, Any], mesh: bytes) -> None:
             before = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise DataError(f"{path}: no JSON: {error}") from None
-        for key in ("format", "settings", "splits", "mesh"):
-            if before.get(key) != manifest[key]:
+        for key in ("format", "settings", "splits", "mesh", "backgrounds"):
+            if before.get(key) != manifest.get(key):
                 raise DataError(
                     f"{path}: holds a data set of other {key}: {before.get(key)}, "
-                    f"asked for {manifest[key]}; choose another folder, or remove this one"
+                    f"asked for {manifest.get(key)}; choose another folder, or remove this one"
                 )
-    elif root.exists() and any(root.iterdir()):
+    elif root.exists() and any(not file.name.startswith(".") for file in root.iterdir()):
         raise DataError(f"{root}: is not empty and holds no data set; choose another folder")
     root.mkdir(parents=True, exist_ok=True)
     if not path.exists():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -16,7 +15,7 @@ from dronepose.camera import Camera
 from dronepose.data._errors import DataError, missing
 from dronepose.data._images import read_mask, read_rgb
 from dronepose.data._poses import TOLERANCE, check_pose, number
-from dronepose.data.sample import PoseDataset, Raw, one_size
+from dronepose.data.sample import PoseDataset, Raw, check_sizes
 
 if TYPE_CHECKING:
     import os
@@ -30,19 +29,6 @@ if TYPE_CHECKING:
 _AXES = ("x", "y", "z")
 _OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0])
 HORIZONTAL_DEG = 64.69
-
-
-@dataclass(frozen=True, slots=True)
-class _Item:
-    """One image of a flight."""
-
-    name: str
-    image: Path
-    mask: Path | None
-    place: str
-    R: Array
-    t: Array
-    frame: int
 
 
 class UavaDataset(PoseDataset):
@@ -142,8 +128,11 @@ class UavaDataset(PoseDataset):
         self.horizontal_deg, self.axes = horizontal_deg, axes
         self._flights = Path(trajectories) if trajectories else self.root / "trajectories"
         lists = Path(splits) if splits else self.root / "data splits"
-        self._rows: dict[tuple[str, str], _Flight] = {}
-        self._items: list[_Item] = []
+        # Plain lists and arrays: tens of thousands of samples travel to each worker.
+        self.names: list[str] = []
+        self._images: list[str] = []
+        self._masks: list[str] = []
+        poses: list[tuple[Array, Array]] = []
         folder = self.root / drone / view
         if not folder.is_dir():
             missing(folder, "the images of a drone and a view")
@@ -154,10 +143,25 @@ class UavaDataset(PoseDataset):
                     raise FileNotFoundError(text)
                 warnings.warn(text, stacklevel=2)
                 continue
+            flights: dict[str, _Flight] = {}
             masks = None if mask is None else self._files(folder / mask / building)
             for key, path in self._files(folder / image / building).items():
-                self._items.append(self._item(building, key, path, masks, folder / str(mask)))
-        self.names = [item.name for item in self._items]
+                row, date, frame = key
+                name = f"{building}_{row}_{date}_{frame}"
+                if masks is not None and key not in masks:
+                    raise FileNotFoundError(
+                        f"{folder / str(mask) / building}: no mask of sample {name!r}, of the "
+                        f"image {path.name}"
+                    )
+                if date not in flights:
+                    flights[date] = self._flight(building, date)
+                poses.append(flights[date].pose(row, frame, name, axes))
+                self.names.append(name)
+                self._images.append(str(path))
+                if masks is not None:
+                    self._masks.append(str(masks[key]))
+        self._R = np.array([R for R, _ in poses]).reshape(-1, 3, 3)
+        self._t = np.array([t for _, t in poses]).reshape(-1, 3)
 
     def _files(self, folder: Path) -> dict[tuple[int, str, int], Path]:
         """The images of a building by row, date and frame, in this order."""
@@ -177,36 +181,15 @@ class UavaDataset(PoseDataset):
             found[row, date, frame] = path
         return dict(sorted(found.items(), key=lambda each: (each[0][1], each[0][0], each[0][2])))
 
-    def _item(
-        self,
-        building: str,
-        key: tuple[int, str, int],
-        path: Path,
-        masks: dict[tuple[int, str, int], Path] | None,
-        of_masks: Path,
-    ) -> _Item:
-        row, date, frame = key
-        name = f"{building}_{row}_{date}_{frame}"
-        if masks is not None and key not in masks:
-            raise FileNotFoundError(
-                f"{of_masks / building}: no mask of sample {name!r}, of the image {path.name}"
-            )
-        flight = self._flight(building, date)
-        R, t, place = flight.pose(row, frame, name, self.axes)
-        mask = None if masks is None else masks[key]
-        return _Item(name, path, mask, place, R, t, frame)
-
     def _flight(self, building: str, date: str) -> _Flight:
-        if (building, date) not in self._rows:
-            folder = self._flights / building / date
-            files = sorted(folder.glob("*blender*")) if folder.is_dir() else []
-            if len(files) != 1:
-                found = ", ".join(path.name for path in files) or "none"
-                raise FileNotFoundError(
-                    f"{folder}: expected one file with 'blender' in its name, found {found}"
-                )
-            self._rows[building, date] = _Flight(files[0])
-        return self._rows[building, date]
+        folder = self._flights / building / date
+        files = sorted(folder.glob("*blender*")) if folder.is_dir() else []
+        if len(files) != 1:
+            found = ", ".join(path.name for path in files) or "none"
+            raise FileNotFoundError(
+                f"{folder}: expected one file with 'blender' in its name, found {found}"
+            )
+        return _Flight(files[0])
 
     def load(self, index: int) -> Raw:
         """The sample as it is on the disk.
@@ -225,14 +208,14 @@ class UavaDataset(PoseDataset):
             >>> UavaDataset("UAVA", "val").load(0).size  # doctest: +SKIP
             (240, 320)
         """
-        item = self._items[index]
-        whose = f"sample {item.name!r}"
-        image = read_rgb(item.image, whose)
-        mask = None if item.mask is None else read_mask(item.mask, whose)
-        one_size(image, mask, f"{item.image}: {whose}")
+        name, file = self.names[index], Path(self._images[index])
+        whose = f"sample {name!r}"
+        image = read_rgb(file, whose)
+        mask = read_mask(Path(self._masks[index]), whose) if self._masks else None
+        check_sizes(image, mask, f"{file}: {whose}")
         rows, columns = image.shape[:2]
         camera = Camera.from_fov(columns, rows, horizontal_deg=self.horizontal_deg)
-        return Raw(image, mask, camera.K, item.R, item.t, item.name)
+        return Raw(image, mask, camera.K, self._R[index], self._t[index], name)
 
     def pairs(self) -> list[tuple[int, int]]:
         """Indices of the two time steps of each row of which both are here.
@@ -246,9 +229,9 @@ class UavaDataset(PoseDataset):
         """
         place = {name: index for index, name in enumerate(self.names)}
         out = []
-        for index, item in enumerate(self._items):
-            other = place.get(f"{item.name[:-1]}1")
-            if item.frame == 0 and other is not None:
+        for index, name in enumerate(self.names):
+            other = place.get(f"{name[:-1]}1")
+            if name.endswith("_0") and other is not None:
                 out.append((index, other))
         return out
 
@@ -329,8 +312,8 @@ class _Flight:
         names += [f"Pilot({a})" for a in _AXES]
         return names + [f"PilotRot({a})" for a in (*_AXES, "w")]
 
-    def pose(self, row: int, frame: int, name: str, axes: str) -> tuple[Array, Array, str]:
-        """``R``, ``t`` of ``cam_from_model`` with OpenCV axes, and the place in the file."""
+    def pose(self, row: int, frame: int, name: str, axes: str) -> tuple[Array, Array]:
+        """``R``, ``t`` of ``cam_from_model`` with OpenCV axes."""
         if row >= len(self.rows):
             raise DataError(
                 f"{self.path}: sample {name!r} needs row {row}, the file has {len(self.rows)} rows"
@@ -345,7 +328,7 @@ class _Flight:
         R, t = R_cam.T @ R_drone, R_cam.T @ (T_drone - T_cam)
         if axes == "blender":
             R, t = _OPENCV_FROM_BLENDER @ R, _OPENCV_FROM_BLENDER @ t
-        return check_pose(R, t, place), t, place
+        return check_pose(R, t, place), t
 
     @staticmethod
     def _vector(
