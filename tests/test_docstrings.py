@@ -27,6 +27,10 @@ PUBLIC = {
 }
 if importlib.util.find_spec("torch"):
     PUBLIC |= {f"torch.{n}": getattr(dronepose.torch, n) for n in dronepose.torch.__all__}
+if importlib.util.find_spec("lightning"):
+    for part in ("data", "infer", "losses", "model"):
+        module = importlib.import_module(f"dronepose.{part}")
+        PUBLIC |= {f"{part}.{n}": getattr(module, n) for n in module.__all__}
 del PUBLIC["dronepose.__version__"]
 
 

@@ -50,7 +50,21 @@ _HOME = {
     "evaluate": "evaluation",
 }
 _MODULES = frozenset(
-    {"camera", "cli", "evaluation", "geometry", "mesh", "metrics", "render", "torch"}
+    {
+        "camera",
+        "cli",
+        "data",
+        "evaluation",
+        "geometry",
+        "infer",
+        "losses",
+        "mesh",
+        "metrics",
+        "model",
+        "render",
+        "torch",
+        "train",
+    }
 )
 
 
