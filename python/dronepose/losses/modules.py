@@ -116,7 +116,25 @@ class TranslationLoss(_Loss):
         t_gt: Float[Tensor, "B 3"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of translations; arguments, result and errors are those of the function."""
+        """The loss of translations.
+
+        Args:
+            t: ``(B, 3)``, predicted, metres.
+            t_gt: ``(B, 3)``, true, metres.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            Square metres; ``()``, or ``(B,)`` for reduction ``"none"``.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> TranslationLoss()(torch.zeros(1, 3), torch.ones(1, 3)).item()
+            3.0
+        """
         return type(self).function(t, t_gt, weight=weight, **self.options)
 
 
@@ -134,7 +152,25 @@ class RotationLoss(_Loss):
         R_gt: Float[Tensor, "B 3 3"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of rotations; arguments, result and errors are those of the function."""
+        """The loss of rotations.
+
+        Args:
+            R: ``(B, 3, 3)``, predicted rotations of ``cam_from_model``.
+            R_gt: ``(B, 3, 3)``, true.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            Radians; ``()``, or ``(B,)`` for reduction ``"none"``.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> RotationLoss()(torch.eye(3)[None], torch.eye(3)[None]).item()
+            0.0
+        """
         return type(self).function(R, R_gt, weight=weight, **self.options)
 
 
@@ -155,7 +191,28 @@ class PoseLoss(_Loss):
         t_gt: Float[Tensor, "B 3"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of poses; arguments, result and errors are those of the function."""
+        """The loss of poses.
+
+        Args:
+            R: ``(B, 3, 3)``, predicted rotations of ``cam_from_model``.
+            t: ``(B, 3)``, predicted, metres.
+            R_gt: ``(B, 3, 3)``, true.
+            t_gt: ``(B, 3)``, true, metres.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            ``()``, or ``(B,)`` for reduction ``"none"``.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> R, t = torch.eye(3)[None], torch.zeros(1, 3)
+            >>> PoseLoss()(R, t, R, t).item()
+            0.0
+        """
         return type(self).function(R, t, R_gt, t_gt, weight=weight, **self.options)
 
 
@@ -178,7 +235,12 @@ class TotalLoss(_Loss):
 
     @property
     def lambda_exo(self) -> float:
-        """Share of the silhouette, 0 to 1."""
+        """Share of the silhouette, 0 to 1.
+
+        Example:
+            >>> TotalLoss(lambda_exo=0.25).lambda_exo
+            0.25
+        """
         share: float = self.options.get("lambda_exo", pose.AUTHORS_LAMBDA_EXO)
         return share
 
@@ -187,7 +249,24 @@ class TotalLoss(_Loss):
         self.options["lambda_exo"] = value
 
     def forward(self, pose: Tensor, exo: Tensor) -> Tensor:
-        """The sum; arguments, result and errors are those of the function."""
+        """The sum of the two objectives.
+
+        Args:
+            pose: The loss of poses.
+            exo: The loss of silhouettes.
+
+        Returns:
+            The sum, of the shape of both.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> TotalLoss(lambda_exo=0.1)(torch.tensor(2.0), torch.tensor(2.0)).item()
+            2.0
+        """
         return type(self).function(pose, exo, **self.options)
 
 
