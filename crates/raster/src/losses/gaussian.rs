@@ -80,10 +80,6 @@ impl<T: Sample> Taps<T> {
         out.clear();
         out.resize(width, T::default());
         let (rows, mut columns) = support(image, size);
-        if rows.0 == rows.1 {
-            (0..height).for_each(|i| each(i, out));
-            return;
-        }
         // At least one stretch of lanes wide, if the image is.
         columns.1 = columns.1.max((columns.0 + 32).min(width));
         columns.0 = columns.0.min(columns.1.saturating_sub(32));
@@ -95,19 +91,18 @@ impl<T: Sample> Taps<T> {
             let count = ROWS.min(height - i);
             let from = i.saturating_sub(r).max(rows.0);
             let to = (i + count + r).min(rows.1);
-            if from >= to {
-                out.fill(T::default());
-                (i..i + count).for_each(|i| each(i, out));
-                continue;
-            }
-            let job = Down { image, width, from, to, offset: ROWS - 1 + r + from - i };
-            match columns.1 - columns.0 {
-                32.. => job.all::<FMA, 32>(&self.padded, columns, lines, length, r),
-                _ => job.all::<FMA, 1>(&self.padded, columns, lines, length, r),
+            let any = from < to;
+            if any {
+                let job = Down { image, width, from, to, offset: ROWS - 1 + r + from - i };
+                match columns.1 - columns.0 {
+                    32.. => job.all::<FMA, 32>(&self.padded, columns, lines, length, r),
+                    _ => job.all::<FMA, 1>(&self.padded, columns, lines, length, r),
+                }
             }
             for k in 0..count {
                 let line = &lines[k * length..(k + 1) * length];
                 match reach.1 - reach.0 {
+                    _ if !any => out.fill(T::default()),
                     64.. => along::<FMA, T, 64>(&self.taps, line, reach, out),
                     16.. => along::<FMA, T, 16>(&self.taps, line, reach, out),
                     _ => along::<FMA, T, 1>(&self.taps, line, reach, out),
