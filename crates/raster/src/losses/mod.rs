@@ -54,6 +54,7 @@ pub trait Sample: Pixel + Sub<Output = Self> + AddAssign {
     const NEGLIGIBLE: f64;
 
     /// `self * b + c`, in one instruction where `FMA`.
+    #[must_use]
     fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self;
 }
 
