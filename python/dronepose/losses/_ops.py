@@ -102,13 +102,14 @@ def _array(tensor: Tensor) -> NDArray[Any]:
 
 def _setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
     ctx.threads = inputs[-1]
+    ctx.set_materialize_grads(False)  # zeros for the gradients that are outputs, as large as they
     ctx.mark_non_differentiable(output[1], output[2])
     ctx.save_for_backward(output[1], output[2])
 
 
-def _backward(ctx: Any, upstream: Tensor, *_: Any) -> tuple[Any, ...]:
+def _backward(ctx: Any, upstream: Tensor | None, *_: Any) -> tuple[Any, ...]:
     gradients = [
-        scale_images_op(each, upstream, ctx.threads) if wanted else None
+        scale_images_op(each, upstream, ctx.threads) if wanted and upstream is not None else None
         for each, wanted in zip(ctx.saved_tensors, ctx.needs_input_grad[:2], strict=True)
     ]
     return (*gradients, *[None] * 7)

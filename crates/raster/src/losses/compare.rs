@@ -3,7 +3,7 @@
 use multiversion::multiversion;
 
 use super::gaussian::{self, Taps};
-use super::{FUSED, Sample, Scratch, Size, dot};
+use super::{FUSED, Products, Sample, Scratch, Size};
 
 /// Tanimoto over several widths.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
@@ -58,14 +58,15 @@ fn all_widths<T: Sample, const FMA: bool>(
         blur::<T, FMA>(taps, pred, size, gaussian, b);
         row.clear();
         row.resize(size.width, T::default());
-        let (mut gap, mut overlap) = (0.0, 0.0);
+        let (mut gap, mut overlap) = (Products::none(), Products::none());
         for (a, b) in a.chunks_exact(size.width).zip(b.chunks_exact(size.width)) {
             for ((d, &a), &b) in row.iter_mut().zip(a).zip(b) {
                 *d = a - b;
             }
-            gap += dot::<T, FMA>(row, row);
-            overlap += dot::<T, FMA>(a, b);
+            gap.add::<T, FMA>(row, row, 1.0);
+            overlap.add::<T, FMA>(a, b, 1.0);
         }
+        let (gap, overlap) = (gap.total(), overlap.total());
         // |a|^2 + |b|^2 = |a - b|^2 + 2 <a, b>.
         let whole = gap + overlap + eps;
         loss += share * gap / whole;
@@ -98,8 +99,10 @@ fn difference<T: Sample, const FMA: bool>(
     ));
     blur::<T, FMA>(taps, gap, size, gaussian, blurred);
     let count = size.pixels() as f64;
-    let rows = blurred.chunks_exact(size.width);
-    let total: f64 = rows.map(|row| dot::<T, FMA>(row, row)).sum();
+    let mut total = Products::none();
+    for row in blurred.chunks_exact(size.width) {
+        total.add::<T, FMA>(row, row, 1.0);
+    }
     if let Some(gradient) = gradient {
         let factor = T::from_f64(2.0 / count);
         for pixel in &mut *blurred {
@@ -108,7 +111,7 @@ fn difference<T: Sample, const FMA: bool>(
         gradient.fill(T::default());
         add_blurred::<T, FMA>(taps, blurred, size, gaussian, gradient);
     }
-    total / count
+    total.total() / count
 }
 
 #[inline(always)]
@@ -123,7 +126,13 @@ fn blur<T: Sample, const FMA: bool>(
     if taps.is_identity() {
         out.extend_from_slice(image);
     } else {
-        taps.rows::<FMA>(image, size, buffers, |_, row| out.extend_from_slice(row));
+        taps.rows::<FMA>(
+            image,
+            size,
+            buffers,
+            #[inline(always)]
+            |_, row| out.extend_from_slice(row),
+        );
     }
 }
 
@@ -141,9 +150,15 @@ fn add_blurred<T: Sample, const FMA: bool>(
         }
         return;
     }
-    taps.rows::<FMA>(image, size, buffers, |i, row| {
-        for (out, &pixel) in out[i * size.width..(i + 1) * size.width].iter_mut().zip(row) {
-            *out += pixel;
-        }
-    });
+    taps.rows::<FMA>(
+        image,
+        size,
+        buffers,
+        #[inline(always)]
+        |i, row| {
+            for (out, &pixel) in out[i * size.width..(i + 1) * size.width].iter_mut().zip(row) {
+                *out += pixel;
+            }
+        },
+    );
 }

@@ -13,8 +13,8 @@ const ROWS: usize = 4;
 /// The taps of one axis, without those that cannot count.
 #[derive(Debug, Clone)]
 pub(super) struct Taps<T> {
-    taps: Vec<T>,
-    /// The taps with a margin of `ROWS - 1` zeros.
+    weights: Vec<T>,
+    /// The same with a margin of `ROWS - 1` zeros.
     padded: Vec<T>,
     radius: usize,
 }
@@ -40,10 +40,10 @@ impl<T: Sample> Taps<T> {
         let sum = 1.0 + 2.0 * (1..=radius).map(tap).sum::<f64>();
         let kept = (1..=radius).take_while(|&x| tap(x) >= T::NEGLIGIBLE).count();
         let one = |k: usize| T::from_f64(tap(k.abs_diff(kept)) / sum);
-        let taps: Vec<T> = (0..=2 * kept).map(one).collect();
-        let mut padded = vec![T::default(); taps.len() + 2 * (ROWS - 1)];
-        padded[ROWS - 1..ROWS - 1 + taps.len()].copy_from_slice(&taps);
-        Self { taps, padded, radius: kept }
+        let weights: Vec<T> = (0..=2 * kept).map(one).collect();
+        let mut padded = vec![T::default(); weights.len() + 2 * (ROWS - 1)];
+        padded[ROWS - 1..ROWS - 1 + weights.len()].copy_from_slice(&weights);
+        Self { weights, padded, radius: kept }
     }
 
     /// As far as `4 sigma`; 0 is no blur.
@@ -62,8 +62,8 @@ impl<T: Sample> Taps<T> {
         out.extend((0..length).map(|place| {
             // Tap k takes place + k - radius.
             let first = self.radius.saturating_sub(place);
-            let end = (length + self.radius - place).min(self.taps.len());
-            T::from_f64(self.taps[first..end].iter().map(|t| t.to_f64()).sum())
+            let end = (length + self.radius - place).min(self.weights.len());
+            T::from_f64(self.weights[first..end].iter().map(|t| t.to_f64()).sum())
         }));
     }
 
@@ -80,10 +80,6 @@ impl<T: Sample> Taps<T> {
         out.clear();
         out.resize(width, T::default());
         let (rows, mut columns) = support(image, size);
-        if rows.0 == rows.1 {
-            (0..height).for_each(|i| each(i, out));
-            return;
-        }
         // At least one stretch of lanes wide, if the image is.
         columns.1 = columns.1.max((columns.0 + 32).min(width));
         columns.0 = columns.0.min(columns.1.saturating_sub(32));
@@ -95,22 +91,21 @@ impl<T: Sample> Taps<T> {
             let count = ROWS.min(height - i);
             let from = i.saturating_sub(r).max(rows.0);
             let to = (i + count + r).min(rows.1);
-            if from >= to {
-                out.fill(T::default());
-                (i..i + count).for_each(|i| each(i, out));
-                continue;
-            }
-            let job = Down { image, width, from, to, offset: ROWS - 1 + r + from - i };
-            match columns.1 - columns.0 {
-                32.. => job.all::<FMA, 32>(&self.padded, columns, lines, length, r),
-                _ => job.all::<FMA, 1>(&self.padded, columns, lines, length, r),
+            let any = from < to;
+            if any {
+                let job = Down { image, width, from, to, offset: ROWS - 1 + r + from - i };
+                match columns.1 - columns.0 {
+                    32.. => job.all::<FMA, 32>(&self.padded, columns, lines, length, r),
+                    _ => job.all::<FMA, 1>(&self.padded, columns, lines, length, r),
+                }
             }
             for k in 0..count {
                 let line = &lines[k * length..(k + 1) * length];
                 match reach.1 - reach.0 {
-                    64.. => along::<FMA, T, 64>(&self.taps, line, reach, out),
-                    16.. => along::<FMA, T, 16>(&self.taps, line, reach, out),
-                    _ => along::<FMA, T, 1>(&self.taps, line, reach, out),
+                    _ if !any => out.fill(T::default()),
+                    64.. => along::<FMA, T, 64>(&self.weights, line, reach, out),
+                    16.. => along::<FMA, T, 16>(&self.weights, line, reach, out),
+                    _ => along::<FMA, T, 1>(&self.weights, line, reach, out),
                 }
                 each(i + k, out);
             }

@@ -54,6 +54,7 @@ pub trait Sample: Pixel + Sub<Output = Self> + AddAssign {
     const NEGLIGIBLE: f64;
 
     /// `self * b + c`, in one instruction where `FMA`.
+    #[must_use]
     fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self;
 }
 
@@ -82,18 +83,38 @@ const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
 /// Pixels of a row that are added up side by side.
 const LANES: usize = 32;
 
-/// `sum(a * b)` of a row.
-#[inline(always)]
-fn dot<T: Sample, const FMA: bool>(a: &[T], b: &[T]) -> f64 {
-    let mut sums = [T::default(); LANES];
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    for (a, b) in a.iter().zip(b) {
+/// A sum of products, over rows: in the type of the masks within a row, in `f64` beyond.
+#[derive(Debug, Clone, Copy)]
+struct Products([f64; LANES]);
+
+impl Products {
+    #[inline(always)]
+    fn none() -> Self {
+        Self([0.0; LANES])
+    }
+
+    /// Add `sum(a * b)` of a row, times `factor`.
+    #[inline(always)]
+    fn add<T: Sample, const FMA: bool>(&mut self, a: &[T], b: &[T], factor: f64) {
+        let mut sums = [T::default(); LANES];
+        let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+        for (a, b) in a.iter().zip(b) {
+            for l in 0..LANES {
+                sums[l] = a[l].fused::<FMA>(b[l], sums[l]);
+            }
+        }
+        for (l, (&a, &b)) in a_rest.iter().zip(b_rest).enumerate() {
+            sums[l] = a.fused::<FMA>(b, sums[l]);
+        }
         for l in 0..LANES {
-            sums[l] = a[l].fused::<FMA>(b[l], sums[l]);
+            self.0[l] += factor * sums[l].to_f64();
         }
     }
-    let rest: f64 = a_rest.iter().zip(b_rest).map(|(&a, &b)| a.to_f64() * b.to_f64()).sum();
-    rest + sums.iter().map(|s| s.to_f64()).sum::<f64>()
+
+    #[inline(always)]
+    fn total(self) -> f64 {
+        self.0.iter().sum()
+    }
 }
 
 /// A silhouette loss.

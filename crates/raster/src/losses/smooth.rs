@@ -4,7 +4,7 @@ use multiversion::multiversion;
 
 use super::boxes::Window;
 use super::gaussian::Taps;
-use super::{FUSED, Sample, Scratch, Size, dot};
+use super::{FUSED, Products, Sample, Scratch, Size};
 
 /// With a square window.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
@@ -51,21 +51,27 @@ fn boxed<T: Sample, const FMA: bool>(
     slope.resize(width, T::default());
     ones.clear();
     ones.resize(width, one);
-    let mut total = 0.0;
-    window.rows(target, size, boxes, |i, mean, adjoint| {
-        for ((slope, &mean), &adjoint) in slope.iter_mut().zip(mean).zip(adjoint) {
-            *slope = one - two * (mean + adjoint);
-        }
-        let row = i * width..(i + 1) * width;
-        total += dot::<T, FMA>(&pred[row.clone()], slope);
-        total += dot::<T, FMA>(&target[row.clone()], ones);
-        if let Some(gradient) = gradient.as_deref_mut() {
-            for (out, &slope) in gradient[row].iter_mut().zip(&*slope) {
-                *out = slope * share;
+    let mut total = Products::none();
+    window.rows(
+        target,
+        size,
+        boxes,
+        #[inline(always)]
+        |i, mean, adjoint| {
+            for ((slope, &mean), &adjoint) in slope.iter_mut().zip(mean).zip(adjoint) {
+                *slope = one - two * (mean + adjoint);
             }
-        }
-    });
-    total / count
+            let row = i * width..(i + 1) * width;
+            total.add::<T, FMA>(&pred[row.clone()], slope, 1.0);
+            total.add::<T, FMA>(&target[row.clone()], ones, 1.0);
+            if let Some(gradient) = gradient.as_deref_mut() {
+                for (out, &slope) in gradient[row].iter_mut().zip(&*slope) {
+                    *out = slope * share;
+                }
+            }
+        },
+    );
+    total.total() / count
 }
 
 #[inline(always)]
@@ -83,20 +89,26 @@ fn gaussian<T: Sample, const FMA: bool>(
     slope.resize(width, T::default());
     taps.ones(width, across);
     taps.ones(size.height, down);
-    let mut total = 0.0;
-    taps.rows::<FMA>(target, size, gaussian, |i, blurred| {
-        let row = i * width..(i + 1) * width;
-        let down = down[i];
-        for ((slope, &blurred), &across) in slope.iter_mut().zip(blurred).zip(&*across) {
-            *slope = across * down - four * blurred;
-        }
-        total += dot::<T, FMA>(&pred[row.clone()], slope);
-        total += dot::<T, FMA>(&target[row.clone()], across) * down.to_f64();
-        if let Some(gradient) = gradient.as_deref_mut() {
-            for (out, &slope) in gradient[row].iter_mut().zip(&*slope) {
-                *out = slope * share;
+    let mut total = Products::none();
+    taps.rows::<FMA>(
+        target,
+        size,
+        gaussian,
+        #[inline(always)]
+        |i, blurred| {
+            let row = i * width..(i + 1) * width;
+            let down = down[i];
+            for ((slope, &blurred), &across) in slope.iter_mut().zip(blurred).zip(&*across) {
+                *slope = across * down - four * blurred;
             }
-        }
-    });
-    total / count
+            total.add::<T, FMA>(&pred[row.clone()], slope, 1.0);
+            total.add::<T, FMA>(&target[row.clone()], across, down.to_f64());
+            if let Some(gradient) = gradient.as_deref_mut() {
+                for (out, &slope) in gradient[row].iter_mut().zip(&*slope) {
+                    *out = slope * share;
+                }
+            }
+        },
+    );
+    total.total() / count
 }
