@@ -11,6 +11,7 @@ __all__ = [
     "MeshError",
     "Model",
     "Symmetries",
+    "Traces",
     "__version__",
     "add",
     "add_passes",
