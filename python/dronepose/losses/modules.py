@@ -53,7 +53,26 @@ class _MaskLoss(_Loss):
         target: Float[Tensor, "B H W"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of masks; arguments, result and errors are those of the function."""
+        """The loss of masks.
+
+        Args:
+            pred: ``(B, H, W)`` in ``[0, 1]``.
+            target: ``(B, H, W)`` in ``[0, 1]``.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            As the function.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> from dronepose.losses import IoULoss
+            >>> IoULoss()(torch.ones(1, 4, 4), torch.zeros(1, 4, 4)).item()
+            1.0
+        """
         return type(self).function(pred, target, weight=weight, **self.options)
 
 
@@ -116,7 +135,26 @@ class TranslationLoss(_Loss):
         t_gt: Float[Tensor, "B 3"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of translations; arguments, result and errors are those of the function."""
+        """The loss of translations.
+
+        Args:
+            t: ``(B, 3)``, predicted, metres.
+            t_gt: ``(B, 3)``, true, metres.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            As the function.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> from dronepose.losses import TranslationLoss
+            >>> TranslationLoss()(torch.ones(1, 3), torch.zeros(1, 3)).item()
+            3.0
+        """
         return type(self).function(t, t_gt, weight=weight, **self.options)
 
 
@@ -134,7 +172,26 @@ class RotationLoss(_Loss):
         R_gt: Float[Tensor, "B 3 3"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of rotations; arguments, result and errors are those of the function."""
+        """The loss of rotations.
+
+        Args:
+            R: ``(B, 3, 3)``, predicted rotations.
+            R_gt: ``(B, 3, 3)``, true rotations.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            As the function.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> from dronepose.losses import RotationLoss
+            >>> RotationLoss()(torch.eye(3)[None], torch.eye(3)[None]).item()
+            0.0
+        """
         return type(self).function(R, R_gt, weight=weight, **self.options)
 
 
@@ -155,7 +212,29 @@ class PoseLoss(_Loss):
         t_gt: Float[Tensor, "B 3"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of poses; arguments, result and errors are those of the function."""
+        """The loss of poses.
+
+        Args:
+            R: ``(B, 3, 3)``, predicted rotations.
+            t: ``(B, 3)``, predicted translations, metres.
+            R_gt: ``(B, 3, 3)``, true rotations.
+            t_gt: ``(B, 3)``, true translations, metres.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            As the function.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> from dronepose.losses import PoseLoss
+            >>> R, t = torch.eye(3)[None], torch.ones(1, 3)
+            >>> PoseLoss(lambda_pose=0.5)(R, t, R, torch.zeros(1, 3)).item()
+            1.5
+        """
         return type(self).function(R, t, R_gt, t_gt, weight=weight, **self.options)
 
 
@@ -178,7 +257,13 @@ class TotalLoss(_Loss):
 
     @property
     def lambda_exo(self) -> float:
-        """Share of the silhouette, 0 to 1."""
+        """Share of the silhouette, 0 to 1.
+
+        Example:
+            >>> from dronepose.losses import TotalLoss
+            >>> TotalLoss().lambda_exo
+            0.1
+        """
         share: float = self.options.get("lambda_exo", pose.AUTHORS_LAMBDA_EXO)
         return share
 
@@ -187,7 +272,25 @@ class TotalLoss(_Loss):
         self.options["lambda_exo"] = value
 
     def forward(self, pose: Tensor, exo: Tensor) -> Tensor:
-        """The sum; arguments, result and errors are those of the function."""
+        """The weighted sum.
+
+        Args:
+            pose: A loss of the pose, ``()`` or ``(B,)``.
+            exo: A loss of the silhouette of the same shape.
+
+        Returns:
+            As the function.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> from dronepose.losses import TotalLoss
+            >>> TotalLoss(lambda_exo=0.5)(torch.tensor(2.0), torch.tensor(1.0)).item()
+            1.5
+        """
         return type(self).function(pose, exo, **self.options)
 
 
