@@ -53,7 +53,26 @@ class _MaskLoss(_Loss):
         target: Float[Tensor, "B H W"],
         weight: Float[Tensor, " B"] | None = None,
     ) -> Tensor:
-        """The loss of masks; arguments, result and errors are those of the function."""
+        """The loss of masks.
+
+        Args:
+            pred: ``(B, H, W)`` in ``[0, 1]``.
+            target: ``(B, H, W)`` in ``[0, 1]``.
+            weight: ``(B,)``, a number for each sample, not negative.
+
+        Returns:
+            As the function.
+
+        Raises:
+            TypeError: As the function.
+            ValueError: As the function.
+
+        Example:
+            >>> import torch
+            >>> from dronepose.losses import IoULoss
+            >>> IoULoss()(torch.ones(1, 4, 4), torch.zeros(1, 4, 4)).item()
+            1.0
+        """
         return type(self).function(pred, target, weight=weight, **self.options)
 
 
@@ -124,7 +143,7 @@ class TranslationLoss(_Loss):
             weight: ``(B,)``, a number for each sample, not negative.
 
         Returns:
-            Square metres; ``()``, or ``(B,)`` for reduction ``"none"``.
+            As the function.
 
         Raises:
             TypeError: As the function.
@@ -132,7 +151,8 @@ class TranslationLoss(_Loss):
 
         Example:
             >>> import torch
-            >>> TranslationLoss()(torch.zeros(1, 3), torch.ones(1, 3)).item()
+            >>> from dronepose.losses import TranslationLoss
+            >>> TranslationLoss()(torch.ones(1, 3), torch.zeros(1, 3)).item()
             3.0
         """
         return type(self).function(t, t_gt, weight=weight, **self.options)
@@ -155,12 +175,12 @@ class RotationLoss(_Loss):
         """The loss of rotations.
 
         Args:
-            R: ``(B, 3, 3)``, predicted rotations of ``cam_from_model``.
-            R_gt: ``(B, 3, 3)``, true.
+            R: ``(B, 3, 3)``, predicted rotations.
+            R_gt: ``(B, 3, 3)``, true rotations.
             weight: ``(B,)``, a number for each sample, not negative.
 
         Returns:
-            Radians; ``()``, or ``(B,)`` for reduction ``"none"``.
+            As the function.
 
         Raises:
             TypeError: As the function.
@@ -168,6 +188,7 @@ class RotationLoss(_Loss):
 
         Example:
             >>> import torch
+            >>> from dronepose.losses import RotationLoss
             >>> RotationLoss()(torch.eye(3)[None], torch.eye(3)[None]).item()
             0.0
         """
@@ -194,14 +215,14 @@ class PoseLoss(_Loss):
         """The loss of poses.
 
         Args:
-            R: ``(B, 3, 3)``, predicted rotations of ``cam_from_model``.
-            t: ``(B, 3)``, predicted, metres.
-            R_gt: ``(B, 3, 3)``, true.
-            t_gt: ``(B, 3)``, true, metres.
+            R: ``(B, 3, 3)``, predicted rotations.
+            t: ``(B, 3)``, predicted translations, metres.
+            R_gt: ``(B, 3, 3)``, true rotations.
+            t_gt: ``(B, 3)``, true translations, metres.
             weight: ``(B,)``, a number for each sample, not negative.
 
         Returns:
-            ``()``, or ``(B,)`` for reduction ``"none"``.
+            As the function.
 
         Raises:
             TypeError: As the function.
@@ -209,9 +230,10 @@ class PoseLoss(_Loss):
 
         Example:
             >>> import torch
-            >>> R, t = torch.eye(3)[None], torch.zeros(1, 3)
-            >>> PoseLoss()(R, t, R, t).item()
-            0.0
+            >>> from dronepose.losses import PoseLoss
+            >>> R, t = torch.eye(3)[None], torch.ones(1, 3)
+            >>> PoseLoss(lambda_pose=0.5)(R, t, R, torch.zeros(1, 3)).item()
+            1.5
         """
         return type(self).function(R, t, R_gt, t_gt, weight=weight, **self.options)
 
@@ -238,8 +260,9 @@ class TotalLoss(_Loss):
         """Share of the silhouette, 0 to 1.
 
         Example:
-            >>> TotalLoss(lambda_exo=0.25).lambda_exo
-            0.25
+            >>> from dronepose.losses import TotalLoss
+            >>> TotalLoss().lambda_exo
+            0.1
         """
         share: float = self.options.get("lambda_exo", pose.AUTHORS_LAMBDA_EXO)
         return share
@@ -249,14 +272,14 @@ class TotalLoss(_Loss):
         self.options["lambda_exo"] = value
 
     def forward(self, pose: Tensor, exo: Tensor) -> Tensor:
-        """The sum of the two objectives.
+        """The weighted sum.
 
         Args:
-            pose: The loss of poses.
-            exo: The loss of silhouettes.
+            pose: A loss of the pose, ``()`` or ``(B,)``.
+            exo: A loss of the silhouette of the same shape.
 
         Returns:
-            The sum, of the shape of both.
+            As the function.
 
         Raises:
             TypeError: As the function.
@@ -264,8 +287,9 @@ class TotalLoss(_Loss):
 
         Example:
             >>> import torch
-            >>> TotalLoss(lambda_exo=0.1)(torch.tensor(2.0), torch.tensor(2.0)).item()
-            2.0
+            >>> from dronepose.losses import TotalLoss
+            >>> TotalLoss(lambda_exo=0.5)(torch.tensor(2.0), torch.tensor(1.0)).item()
+            1.5
         """
         return type(self).function(pose, exo, **self.options)
 
