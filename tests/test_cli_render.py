@@ -303,12 +303,14 @@ def test_the_pictures_of_the_documentation_are_what_the_script_makes(tmp_path):
         [sys.executable, script, "--folder", tmp_path], check=True, stdout=subprocess.DEVNULL
     )
     kept = ROOT / "docs" / "pictures"
-    assert files(tmp_path) == files(kept)
+    # Those of the losses are made by a script of their own.
+    shown = [name for name in files(kept) if not name.startswith("loss")]
+    assert files(tmp_path) == shown
     page = (ROOT / "docs" / "rendering.md").read_text(encoding="utf-8")
-    for name in files(kept):
-        made, shown = picture(tmp_path / name).astype(float), picture(kept / name).astype(float)
-        assert made.shape == shown.shape
-        assert np.abs(made - shown).mean() < 0.5, name
+    for name in shown:
+        made, there = picture(tmp_path / name).astype(float), picture(kept / name).astype(float)
+        assert made.shape == there.shape
+        assert np.abs(made - there).mean() < 0.5, name
         assert f"pictures/{name}" in page
 
 

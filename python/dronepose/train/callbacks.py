@@ -36,12 +36,13 @@ class RendererShare(Callback):
         self._begin = 0.0
         self._steps = 0.0
         self._count = 0
+        self._loss = 0.0
         self.share: float | None = None
         """Of the last epoch; ``None`` without a silhouette."""
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Begin again."""
-        self._steps, self._count = 0.0, 0
+        self._steps, self._count, self._loss = 0.0, 0, 0.0
         if isinstance(pl_module, PoseTask) and pl_module.exo is not None:
             pl_module.exo.seconds = 0.0
 
@@ -57,14 +58,16 @@ class RendererShare(Callback):
         """A step ends."""
         self._steps += time.perf_counter() - self._begin
         self._count += len(batch["name"])
+        loss = outputs["loss"] if isinstance(outputs, dict) else outputs
+        self._loss += float(loss) * len(batch["name"])
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Say what the epoch took, and came to."""
         exo = getattr(pl_module, "exo", None)
         if not self._count or self._steps == 0.0:
             return
-        told = [f"epoch {trainer.current_epoch}"]
-        for name, key in (("loss", "train/loss"), ("CPE", "val/cpe"), ("NPE", "val/npe")):
+        told = [f"epoch {trainer.current_epoch}", f"loss {self._loss / self._count:.4f}"]
+        for name, key in (("CPE", "val/cpe"), ("NPE", "val/npe")):
             if key in trainer.callback_metrics:
                 told.append(f"{name} {float(trainer.callback_metrics[key]):.4f}")
         if "val/oe_deg" in trainer.callback_metrics:
