@@ -141,7 +141,16 @@ class TestCamera:
         uv = seen[:, :2] / seen[:, 2:]
         torch.testing.assert_close(uv[:, 0], 64 * (0.5 + abc[:, 0]))
         torch.testing.assert_close(uv[:, 1], 48 * (0.5 + abc[:, 1]))
-        assert t[0, 2].item() == pytest.approx((60 * 55 / (48 * 64)) ** 0.5 * np.exp(0.7), rel=1e-6)
+        depth = np.exp(0.7 / (1 + 0.7 / 8))
+        assert t[0, 2].item() == pytest.approx((60 * 55 / (48 * 64)) ** 0.5 * depth, rel=1e-6)
+
+    def test_a_depth_far_off_finds_its_way_back(self):
+        """The depth is bounded, and yet its gradient does not vanish."""
+        abc = torch.tensor([[0.0, 0.0, -50.0], [0.0, 0.0, 50.0]], requires_grad=True)
+        z = from_image(abc, K, 48, 64)[:, 2]
+        assert 3e-4 < z[0] < z[1] < 3100
+        (slope,) = torch.autograd.grad(z.log().sum(), abc)
+        assert (slope[:, 2] > 0.01).all()
 
     def test_a_scaled_image_has_the_same_pose(self):
         """Twice the pixels in each direction, K in those pixels: one camera."""

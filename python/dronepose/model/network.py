@@ -24,7 +24,8 @@ __all__ = ["PoseNet", "PoseOutput"]
 Normalisation = Literal["none", "imagenet"]
 _MEAN = (0.485, 0.456, 0.406)  # of ImageNet, as torchvision documents for its weights
 _STD = (0.229, 0.224, 0.225)
-#: Bound of the log-depth of the camera-aware head: exp(8) is about 3000.
+#: Bound of the log-depth of the camera-aware head: exp(8) is about 3000. It is approached smoothly,
+#: so that a network that is far off keeps a gradient.
 _LOG_DEPTH = 8.0
 
 
@@ -56,7 +57,7 @@ class PoseNet(nn.Module):
     how large a metre there is, and ``K`` turns them into a pose::
 
         u = W (1/2 + a)                  v = H (1/2 + b)
-        z = sqrt(fx fy / (W H)) exp(c)   c is kept in [-8, 8]
+        z = sqrt(fx fy / (W H)) exp(c / (1 + |c| / 8))
         y = z (v - cy) / fy              x = z (u - cx - skew y / z) / fx
 
     and the rotation head gives the rotation as seen along the ray through ``t`` (allocentric; Kundu
@@ -221,7 +222,7 @@ def from_image(
     fx, fy, skew = K[..., 0, 0], K[..., 1, 1], K[..., 0, 1]
     cx, cy = K[..., 0, 2], K[..., 1, 2]
     a, b, c = abc.unbind(dim=-1)
-    z = torch.sqrt(fx * fy / (width * height)) * c.clamp(-_LOG_DEPTH, _LOG_DEPTH).exp()
+    z = torch.sqrt(fx * fy / (width * height)) * (c / (1 + c.abs() / _LOG_DEPTH)).exp()
     v = (height * (0.5 + b) - cy) / fy
     u = (width * (0.5 + a) - cx - skew * v) / fx
     return torch.stack([u * z, v * z, z], dim=-1)
