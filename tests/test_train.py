@@ -46,7 +46,8 @@ def dronepose(*arguments, check=True, **options):
 def train(data, out, *more, **options):
     return dronepose(
         "train", "--config", "smoke", "--data.root", data, "--out", out,
-        "--data.batch_size", 12, *more, **options,
+        "--data.batch_size", 12, "--model.lr", "1e-3", "--model.lambda_pose", 0.95, *more,
+        **options,
     )  # fmt: skip
 
 
@@ -214,7 +215,8 @@ def test_a_run_that_was_stopped_goes_on(data, tmp_path):
 @pytest.mark.slow
 def test_two_processes_learn_what_one_does(data, tmp_path):
     more = ("--trainer.max_epochs", 2, "--model.freeze_norm", "true", "--model.silhouette", "iou",
-            "--trainer.log_every_n_steps", 1, "--model.lr", "1e-4")  # fmt: skip
+            "--trainer.log_every_n_steps", 1, "--model.lr", "1e-4",
+            "--model.lambda_pose", 0.95)  # fmt: skip
     one, two = tmp_path / "one", tmp_path / "two"
     train(data, one, *more)
     call = [

@@ -16,7 +16,7 @@ CONFIG is a file, or the name of a configuration that comes with the package:
   {names}
 
 Example:
-  dronepose toyset data
+  dronepose toyset data --train 1500 --size 96x128 --distance 0.8 1.5
   dronepose train --config configs/smoke.yaml --data.root data --out runs/smoke
   dronepose train --config configs/smoke.yaml --data.root data --out runs/smoke --resume true
   dronepose predict --weights runs/smoke/best.safetensors --data data --out predictions.csv
