@@ -63,6 +63,7 @@ def main(argv: Sequence[str]) -> int:
 def _mini(options: argparse.Namespace) -> int:
     from dronepose.data import write_toyset
     from dronepose.train.cli import quiet
+    from dronepose.train.predict import write_text
     from dronepose.train.reproduce import VARIANTS, Plan, run_one, table
 
     quiet()
@@ -99,7 +100,7 @@ def _mini(options: argparse.Namespace) -> int:
                 flush=True,
             )
     text = table(results)
-    (options.out / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
-    (options.out / "results.md").write_text(text + "\n", encoding="utf-8")
+    write_text(options.out / "results.json", json.dumps(results, indent=1))
+    write_text(options.out / "results.md", text + "\n")
     print(json.dumps(results) if options.json else text)
     return 0

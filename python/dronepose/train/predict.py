@@ -13,6 +13,7 @@ from torch.utils.data import DataLoader
 from dronepose.data import PoseDataModule
 from dronepose.geometry import quat_wxyz_from_matrix
 from dronepose.model import model_from_file
+from dronepose.model.files import beside
 
 if TYPE_CHECKING:
     import argparse
@@ -114,8 +115,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file beside its place and move it there, so that it is never half written."""
+    """Write a file, completely or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(path.name + ".part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
+    with beside(path) as part:
+        part.write_text(text, encoding="utf-8")

@@ -24,6 +24,7 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 import dronepose
 from dronepose.data import PoseDataModule
 from dronepose.train.callbacks import RendererShare
+from dronepose.train.predict import write_text
 from dronepose.train.task import PoseTask
 
 if TYPE_CHECKING:
@@ -170,9 +171,7 @@ def run_one(plan: Plan, variant: str, seed: int, out: Path) -> dict[str, Any]:
         "renderer_share": share.share,
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
-    beside = result.with_suffix(".part")
-    beside.write_text(json.dumps(found, indent=1), encoding="utf-8")
-    beside.replace(result)
+    write_text(result, json.dumps(found, indent=1))
     for path in (last, folder / "best.ckpt"):
         path.unlink(missing_ok=True)
     return found
