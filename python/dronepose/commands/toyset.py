@@ -58,6 +58,7 @@ def main(argv: Sequence[str]) -> int:
             width=args.size[1],
             seed=args.seed,
             distance=tuple(args.distance),
+            spread=args.spread,
             max_tilt_deg=args.max_tilt,
             max_pitch_deg=args.max_pitch,
             up=args.up,
@@ -111,6 +112,13 @@ def _parser() -> argparse.ArgumentParser:
         default=(0.8, 3.0),
         metavar=("NEAR", "FAR"),
         help="of the drone, metres [0.8 3.0]",
+    )
+    add(
+        "--spread",
+        type=float,
+        default=0.84,
+        metavar="SHARE",
+        help="of the image, about its middle, in which the drone's origin is [0.84]",
     )
     add("--max-tilt", type=float, default=25.0, metavar="DEG", help="from upright [25]")
     add("--max-pitch", type=float, default=20.0, metavar="DEG", help="camera up, down [20]")

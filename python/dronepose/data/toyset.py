@@ -4,8 +4,8 @@ Each sample is made from ``(seed, split, number)`` alone, so that a run can be s
 split among processes, and any sample made again.
 
 **Poses.** The distance to the model's origin is uniform in ``distance``; its place in the image is
-uniform in the middle 84 % along both sides, so the drone is always at least partly in view. Yaw is
-uniform; the tilt from upright is the absolute value of a normal distribution of ``max_tilt_deg/2``,
+uniform in the middle ``spread`` along both sides; with its default of 84 % the drone is always at
+least partly in view. Yaw is uniform; the tilt from upright is the absolute value of a normal distribution of ``max_tilt_deg/2``,
 cut at ``max_tilt_deg``, in a direction that is uniform; the camera looks up or down by at most
 ``max_pitch_deg`` (uniform) and is rolled by a normal distribution of 3 degrees.
 """
@@ -55,6 +55,8 @@ class ToySettings:
         width: Columns of the images, 16 to 4096.
         seed: Of everything, at least 0.
         distance: Smallest and largest distance of the drone, metres.
+        spread: Share of the image, along both sides about its middle, in which the model's origin
+            is, 0 to 1.
         max_tilt_deg: Largest tilt from upright, 0 to 180 degrees.
         max_pitch_deg: Largest angle by which the camera looks up or down, 0 to 89 degrees.
         horizontal_deg: Field of view, degrees; the default is that of UAVA's exocentric camera.
@@ -73,6 +75,7 @@ class ToySettings:
     width: int = 160
     seed: int = 0
     distance: tuple[float, float] = (0.8, 3.0)
+    spread: float = 0.84
     max_tilt_deg: float = 25.0
     max_pitch_deg: float = 20.0
     horizontal_deg: float = 64.69
@@ -88,7 +91,7 @@ class ToySettings:
         near, far = self.distance
         if not 0 < near <= far < 1e6:
             raise ValueError(f"distance: expected 0 < nearest <= farthest, got {self.distance}")
-        for name, most in (("max_tilt_deg", 180), ("max_pitch_deg", 89)):
+        for name, most in (("spread", 1), ("max_tilt_deg", 180), ("max_pitch_deg", 89)):
             if not 0 <= getattr(self, name) <= most:
                 raise ValueError(f"{name}: expected 0 to {most}, got {getattr(self, name)}")
         if self.up not in ("y", "z"):
@@ -142,8 +145,9 @@ def toy_pose(settings: ToySettings, generator: np.random.Generator) -> tuple[Arr
     R = _turn(np.array([0.0, 0.0, 1.0]), roll) @ (
         _turn(np.cos(about) * right + np.sin(about) * ahead, tilt) @ level
     )
-    u = camera.width * generator.uniform(0.08, 0.92)
-    v = camera.height * generator.uniform(0.08, 0.92)
+    low, high = 0.5 - settings.spread / 2, 0.5 + settings.spread / 2
+    u = camera.width * generator.uniform(low, high)
+    v = camera.height * generator.uniform(low, high)
     ray = np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])
     t = ray / np.linalg.norm(ray) * generator.uniform(*settings.distance)
     return R, t, _turn(np.array([0.0, 0.0, 1.0]), roll) @ up

@@ -12,7 +12,9 @@ the mask of the image. ``lambda_exo`` may change from epoch to epoch.
 
 from __future__ import annotations
 
+import math
 import time
+from functools import partial
 from typing import Any, Literal
 
 import lightning
@@ -110,6 +112,7 @@ class PoseTask(lightning.LightningModule):
         weights: A file with weights to begin from; none is ever downloaded.
         normalisation: ``"none"`` or ``"imagenet"``.
         camera: ``None``, or ``"normalised"`` for a network that knows the camera.
+        hidden: Widths of the fully connected layers behind the backbone, as in the paper by default.
         silhouette: A loss by name (:func:`dronepose.losses.silhouette_loss`), or ``"none"``.
         silhouette_options: Options of the loss, such as ``size`` and ``sigma``.
         mode: How silhouettes are drawn: ``"dibr"`` as in the paper, ``"coverage"``, ``"sigmoid"``.
@@ -118,6 +121,8 @@ class PoseTask(lightning.LightningModule):
         lambda_pose: Share of the translation in ``L_pose``, 0 to 1.
         lambda_exo: Share of ``L_exo``: one number, or by the epoch from which it holds.
         lr: Learning rate of Adam.
+        lr_schedule: ``"constant"``, as in the paper, or ``"cosine"``: up to ``lr`` along a line
+            during the first twentieth of the steps, then down to zero along half a cosine.
         freeze_norm: Keep the statistics of batch normalisation as they are.
         compat: ``"paper"``, or ``"authors"``: the mean over the three coordinates in ``L_t``, means
             of the means of batches in validation and test.
@@ -134,6 +139,7 @@ class PoseTask(lightning.LightningModule):
         weights: str | None = None,
         normalisation: Literal["none", "imagenet"] = "none",
         camera: Literal["normalised"] | None = None,
+        hidden: list[int] | None = None,
         silhouette: str = "none",
         silhouette_options: dict[str, Any] | None = None,
         mode: Mode = "dibr",
@@ -142,6 +148,7 @@ class PoseTask(lightning.LightningModule):
         lambda_pose: float = 0.95,
         lambda_exo: float | dict[int, float] = 0.1,
         lr: float = 1e-4,
+        lr_schedule: Literal["constant", "cosine"] = "constant",
         freeze_norm: bool = False,
         compat: Literal["paper", "authors"] = "paper",
     ) -> None:
@@ -150,9 +157,17 @@ class PoseTask(lightning.LightningModule):
         self.schedule = _schedule(lambda_exo if silhouette != "none" else 0.0)
         if not 0 <= lambda_pose <= 1:
             raise ValueError(f"lambda_pose: {lambda_pose}; expected 0 to 1")
-        self.lambda_pose, self.lr = lambda_pose, lr
+        if lr_schedule not in ("constant", "cosine"):
+            raise ValueError(f"lr_schedule: {lr_schedule!r}; expected 'constant' or 'cosine'")
+        self.lambda_pose, self.lr, self.lr_schedule = lambda_pose, lr, lr_schedule
         self.freeze_norm, self.authors = freeze_norm, compat == "authors"
-        self.model = PoseNet(backbone, weights=weights, normalisation=normalisation, camera=camera)
+        self.model = PoseNet(
+            backbone,
+            weights=weights,
+            normalisation=normalisation,
+            camera=camera,
+            **({"hidden": hidden} if hidden else {}),  # type: ignore[arg-type]
+        ).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._mesh = mesh
         self._exo_options = (silhouette, dict(silhouette_options or {}), mode, sigma, delta)
         self.exo: Exo | None = None
@@ -174,9 +189,17 @@ class PoseTask(lightning.LightningModule):
         if name != "none":
             self.exo = Exo(mesh, name, options, mode=mode, sigma=sigma, delta=delta)
 
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Adam with its default moments."""
-        return torch.optim.Adam(self.model.parameters(), lr=self.lr)
+    def configure_optimizers(self) -> Any:
+        """Adam with its default moments, and the schedule of the learning rate, step by step."""
+        optimizer = torch.optim.Adam(self.model.parameters(), lr=self.lr, fused=True)
+        if self.lr_schedule == "constant":
+            return optimizer
+        steps = int(self.trainer.estimated_stepping_batches)
+        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, partial(cosine, steps=steps))
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": scheduler, "interval": "step"},
+        }
 
     def lambda_exo(self, epoch: int) -> float:
         """The share of the silhouette in an epoch, counted from 0."""
@@ -250,6 +273,14 @@ class PoseTask(lightning.LightningModule):
         self.log_dict({f"{split}/{k}": v for k, v in found.items()}, sync_dist=False)
         for name in ("cpe", "npe", "oe_deg"):
             self.log(name, found[name], prog_bar=True, logger=False)
+
+
+def cosine(step: int, steps: int) -> float:
+    """The share of the learning rate in a step, counted from 0, of ``steps``."""
+    rise = max(1, steps // 20)
+    if step < rise:
+        return (step + 1) / rise
+    return 0.5 * (1 + math.cos(math.pi * min(1.0, (step - rise) / max(1, steps - rise))))
 
 
 def _schedule(value: float | dict[int, float]) -> list[tuple[int, float]]:
