@@ -32,13 +32,18 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     found.add_argument("--variants", nargs="+", help="some of the variants (default: five)")
     found.add_argument("--size", default="96x128", help="rows x columns (default: 96x128)")
-    found.add_argument("--train", type=int, default=2000, help="images (default: 2000)")
+    found.add_argument("--train", type=int, default=2500, help="images (default: 2500)")
     found.add_argument("--val", type=int, default=200)
     found.add_argument("--test", type=int, default=400)
     found.add_argument("--backbone", default="resnet18")
-    found.add_argument("--epochs", type=int, default=12)
+    found.add_argument("--epochs", type=int, default=10)
     found.add_argument("--batch-size", type=int, default=32)
     found.add_argument("--lr", type=float, default=1e-3)
+    found.add_argument(
+        "--precision",
+        default="32-true",
+        help="as of Lightning: bf16-mixed is twice as fast on CPUs with AMX (default: 32-true)",
+    )
     found.add_argument("--workers", type=int, default=0)
     found.add_argument("--json", action="store_true", help="print the results as JSON")
     return found
@@ -61,7 +66,7 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _mini(options: argparse.Namespace) -> int:
-    from dronepose.data import write_toyset
+    from dronepose.data import ToySettings, write_toyset
     from dronepose.train.cli import quiet
     from dronepose.train.predict import write_text
     from dronepose.train.reproduce import VARIANTS, Plan, run_one, table
@@ -76,7 +81,11 @@ def _mini(options: argparse.Namespace) -> int:
             raise ValueError(f"--variants: {name!r}; expected some of {', '.join(VARIANTS)}")
     data = options.out / "data"
     counts = {"train": options.train, "val": options.val, "test": options.test}
-    write_toyset(data, height=int(rows), width=int(columns), counts=counts, seed=0)
+    # Distances and places in the image are about those that the rules of the paper's set leave.
+    settings = ToySettings(
+        height=int(rows), width=int(columns), seed=0, distance=(0.8, 1.5), spread=0.5
+    )
+    write_toyset(data, counts=counts, settings=settings)
     plan = Plan(
         data=str(data),
         width=int(columns),
@@ -84,6 +93,7 @@ def _mini(options: argparse.Namespace) -> int:
         epochs=options.epochs,
         batch_size=options.batch_size,
         lr=options.lr,
+        precision=options.precision,
         workers=options.workers,
         seeds=tuple(options.seeds),
         variants=chosen,

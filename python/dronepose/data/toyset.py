@@ -5,9 +5,10 @@ split among processes, and any sample made again.
 
 **Poses.** The distance to the model's origin is uniform in ``distance``; its place in the image is
 uniform in the middle ``spread`` along both sides; with its default of 84 % the drone is always at
-least partly in view. Yaw is uniform; the tilt from upright is the absolute value of a normal distribution of ``max_tilt_deg/2``,
-cut at ``max_tilt_deg``, in a direction that is uniform; the camera looks up or down by at most
-``max_pitch_deg`` (uniform) and is rolled by a normal distribution of 3 degrees.
+least partly in view. Yaw is uniform; the tilt from upright is the absolute value of a normal
+distribution of ``max_tilt_deg/2``, cut at ``max_tilt_deg``, in a direction that is uniform; the
+camera looks up or down by at most ``max_pitch_deg`` (uniform) and is rolled by a normal
+distribution of 3 degrees.
 """
 
 from __future__ import annotations

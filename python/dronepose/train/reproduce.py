@@ -83,9 +83,11 @@ class Plan:
     data: str
     width: int
     backbone: str = "resnet18"
-    epochs: int = 12
+    hidden: tuple[int, ...] = (256,)
+    epochs: int = 10
     batch_size: int = 32
     lr: float = 1e-3
+    precision: str = "32-true"
     workers: int = 0
     seeds: tuple[int, ...] = (0, 1, 2)
     variants: tuple[str, ...] = ("direct", "i01", "s01", "gauss01", "tanimoto01")
@@ -131,7 +133,15 @@ def run_one(plan: Plan, variant: str, seed: int, out: Path) -> dict[str, Any]:
             return found
     begin = time.monotonic()
     lightning.seed_everything(seed, workers=True, verbose=False)
-    task = PoseTask(backbone=plan.backbone, lr=plan.lr, **VARIANTS[variant].model(plan.width))
+    task = PoseTask(
+        backbone=plan.backbone,
+        hidden=list(plan.hidden),
+        camera="normalised",
+        normalisation="imagenet",
+        lr=plan.lr,
+        lr_schedule="cosine",
+        **VARIANTS[variant].model(plan.width),
+    )
     data = PoseDataModule(
         root=plan.data, batch_size=plan.batch_size, workers=plan.workers, seed=seed
     )
@@ -142,6 +152,7 @@ def run_one(plan: Plan, variant: str, seed: int, out: Path) -> dict[str, Any]:
     share = RendererShare(tell=False)
     trainer = lightning.Trainer(
         max_epochs=plan.epochs,
+        precision=plan.precision,  # type: ignore[arg-type]
         callbacks=[saver, latest, share],
         logger=False,
         enable_progress_bar=False,
