@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
-import cv2
 import numpy as np
 
+from dronepose._files import beside
+from dronepose.data._images import write_png
 from dronepose.geometry import quat_wxyz_from_matrix
 from dronepose.infer.filters import OneEuro, Track, jitter, rts
 from dronepose.infer.frames import Fit
 from dronepose.infer.overlay import Style, draw
 from dronepose.infer.video import video_writer
-from dronepose.model.files import beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -250,10 +250,7 @@ def _output(
     files.append(str(folder))
 
     def save(frame: Frame, image: Bytes) -> None:
-        path = folder / f"{frame.id}.png"
-        with beside(path) as part:
-            if not cv2.imwrite(str(part), image[:, :, ::-1]):
-                raise OSError(f"cannot write {path}")
+        write_png(folder / f"{frame.id}.png", image)
 
     return save
 

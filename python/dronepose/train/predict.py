@@ -10,16 +10,15 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader
 
+from dronepose._files import write_text
 from dronepose.data import PoseDataModule
 from dronepose.geometry import quat_wxyz_from_matrix
 from dronepose.model import model_from_file
-from dronepose.model.files import beside
 
 if TYPE_CHECKING:
     import argparse
     import os
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -112,10 +111,3 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         truth = (np.stack([raw.R for raw in raws]), np.stack([raw.t for raw in raws]))
         write_text(options.gt_out, poses_csv([raw.name for raw in raws], *truth))
     return {"out": str(options.out), "images": len(names), "seconds": round(seconds, 3)}
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file, completely or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with beside(path) as part:
-        part.write_text(text, encoding="utf-8")

@@ -112,7 +112,7 @@ class PoseTask(lightning.LightningModule):
         weights: A file with weights to begin from; none is ever downloaded.
         normalisation: ``"none"`` or ``"imagenet"``.
         camera: ``None``, or ``"normalised"`` for a network that knows the camera.
-        hidden: Widths of the fully connected layers behind the backbone, as in the paper by default.
+        hidden: Widths of the fully connected layers behind the backbone; by default the paper's.
         silhouette: A loss by name (:func:`dronepose.losses.silhouette_loss`), or ``"none"``.
         silhouette_options: Options of the loss, such as ``size`` and ``sigma``.
         mode: How silhouettes are drawn: ``"dibr"`` as in the paper, ``"coverage"``, ``"sigmoid"``.
@@ -161,13 +161,11 @@ class PoseTask(lightning.LightningModule):
             raise ValueError(f"lr_schedule: {lr_schedule!r}; expected 'constant' or 'cosine'")
         self.lambda_pose, self.lr, self.lr_schedule = lambda_pose, lr, lr_schedule
         self.freeze_norm, self.authors = freeze_norm, compat == "authors"
-        self.model = PoseNet(
-            backbone,
-            weights=weights,
-            normalisation=normalisation,
-            camera=camera,
-            **({"hidden": hidden} if hidden else {}),  # type: ignore[arg-type]
-        ).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        widths: dict[str, Any] = {} if hidden is None else {"hidden": hidden}
+        net = PoseNet(
+            backbone, weights=weights, normalisation=normalisation, camera=camera, **widths
+        )
+        self.model = net.to(memory_format=torch.channels_last)
         self._mesh = mesh
         self._exo_options = (silhouette, dict(silhouette_options or {}), mode, sigma, delta)
         self.exo: Exo | None = None
