@@ -15,10 +15,10 @@ pytest.importorskip("lightning", reason="lightning is not installed")
 
 from dronepose import Mesh, cli, evaluate  # noqa: E402
 from dronepose.data import write_toyset  # noqa: E402
+from dronepose.data._poses import poses_csv  # noqa: E402
 from dronepose.train import reproduce  # noqa: E402
 from dronepose.train.callbacks import overlay  # noqa: E402
 from dronepose.train.cli import config_path, shipped_configs  # noqa: E402
-from dronepose.train.predict import poses_csv  # noqa: E402
 from dronepose.train.report import Judge, table_one  # noqa: E402
 from dronepose.train.task import Exo, PoseTask  # noqa: E402
 
@@ -116,13 +116,6 @@ def test_predictions_are_judged_as_the_command_does(data, tmp_path):
     expected = evaluate(tmp_path / "p.csv", tmp_path / "gt.csv", mesh=data / "mesh.obj")
     assert found == pytest.approx(table_one(expected), rel=1e-12)
     assert judge.finish() is None
-
-
-def test_ids_are_quoted_where_they_need_it(tmp_path):
-    names = ['a,"b"', "c"]
-    text = poses_csv(names, np.stack([np.eye(3)] * 2), np.array([[0, 0, 1.0], [0, 0, 2.0]]))
-    (tmp_path / "p.csv").write_text(text)
-    assert evaluate(tmp_path / "p.csv", tmp_path / "p.csv").n_matched == 2
 
 
 def test_overlays_are_red_green_and_yellow():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -11,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from dronepose._files import beside
+from dronepose._files import write_text
 from dronepose.data._images import write_png
-from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose.data._poses import poses_csv
 from dronepose.infer.filters import OneEuro, Track, jitter, rts
 from dronepose.infer.frames import Fit
 from dronepose.infer.overlay import Style, draw
@@ -213,7 +212,7 @@ def _finished(
     if options.filter != "none":
         named.append((out / f"poses_raw{ending}.csv", raw))
     for path, poses in named:
-        _write_csv(path, ids, poses, rate)
+        write_text(path, _csv(ids, poses, rate))
         files.append(str(path))
     notes = sorted({fit.note for fit in lane.fits.values() if fit.note})
     summary: dict[str, Any] = {
@@ -268,17 +267,11 @@ def _drawn(frame: Frame, lanes: list[_Lane], index: int, options: Options) -> By
     return np.concatenate(halves, axis=1)
 
 
-def _write_csv(path: Path, ids: list[str], poses: list[Pose], rate: float | None) -> None:
+def _csv(ids: list[str], poses: list[Pose], rate: float | None) -> str:
     """The format of predictions, docs/formats.md; with the time in seconds for videos."""
     R, t = _track(poses)
-    quaternions = quat_wxyz_from_matrix(_orthonormal(R))
-    header = ["id", "qw", "qx", "qy", "qz", "tx", "ty", "tz", *(["time_s"] if rate else [])]
-    with beside(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for k, (name, q, p) in enumerate(zip(ids, quaternions, t, strict=True)):
-            times = [f"{k / rate:.6f}"] if rate else []
-            writer.writerow([name, *(f"{v:.9f}" for v in q), *(f"{v:.9f}" for v in p), *times])
+    times = {"time_s": [f"{k / rate:.6f}" for k in range(len(ids))]} if rate else None
+    return poses_csv(ids, _orthonormal(R), t, form=".9f", further=times)
 
 
 def _orthonormal(R: Array) -> Array:

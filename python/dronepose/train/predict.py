@@ -12,13 +12,12 @@ from torch.utils.data import DataLoader
 
 from dronepose._files import write_text
 from dronepose.data import PoseDataModule
-from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose.data._poses import poses_csv
 from dronepose.model import model_from_file
 
 if TYPE_CHECKING:
     import argparse
     import os
-    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -72,22 +71,6 @@ def predict(
     if not names:
         return names, np.zeros((0, 3, 3)), np.zeros((0, 3))
     return names, np.concatenate(rotations), np.concatenate(translations)
-
-
-def poses_csv(names: Sequence[str], R: Array, t: Array) -> str:
-    """Poses as ``dronepose-eval`` reads them: ``id,qw,qx,qy,qz,tx,ty,tz``, metres.
-
-    Args:
-        names: Ids; quoted where they need it (RFC 4180).
-        R: ``(N, 3, 3)``, rotations of ``cam_from_model``.
-        t: ``(N, 3)``, metres.
-    """
-    lines = ["id,qw,qx,qy,qz,tx,ty,tz"]
-    quaternions = quat_wxyz_from_matrix(R) if len(R) else np.zeros((0, 4))
-    for name, q, p in zip(names, quaternions, t, strict=True):
-        quoted = f'"{name.replace(chr(34), 2 * chr(34))}"' if set(name) & set(',"\r\n') else name
-        lines.append(",".join([quoted, *(repr(float(x)) for x in (*q, *p))]))
-    return "\n".join(lines) + "\n"
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
