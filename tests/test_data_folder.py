@@ -103,6 +103,15 @@ def test_a_missing_image_names_the_sample(copy):
         data[1]
 
 
+def test_poses_need_no_images(copy):
+    data = FolderDataset(copy, "train")
+    known = [data.load(k) for k in range(len(data))]
+    shutil.rmtree(copy / "train/images")
+    for k, raw in enumerate(known):
+        R, t = data.pose(k)
+        assert (R.tolist(), t.tolist()) == (raw.R.tolist(), raw.t.tolist())
+
+
 @pytest.mark.parametrize("folder", ["images", "masks"])
 @pytest.mark.parametrize("how", ["cut", "flipped", "empty", "text"])
 def test_a_broken_png_names_the_sample(copy, folder, how):

@@ -92,6 +92,18 @@ def test_poses_are_those_of_the_paper_in_opencv_axes(uava):
         assert (raw.image == 8 * row + frame).all()
 
 
+def test_poses_need_no_images(uava):
+    root, known = uava
+    data = UavaDataset(root, "train")
+    for image in root.glob("M2ED/exocentric/*/*/*"):
+        image.unlink()
+    with pytest.raises(FileNotFoundError, match="expected an image"):
+        data.load(0)
+    for k, name in enumerate(data.names):
+        for ours, expected in zip(data.pose(k), known[name], strict=True):
+            np.testing.assert_allclose(ours, expected, atol=1e-9)
+
+
 def test_the_mesh_lands_on_the_mask(uava):
     root, _ = uava
     data, mesh = UavaDataset(root, "test"), Mesh.from_file(EXAMPLE_MESH)

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ pytest.importorskip("lightning", reason="lightning is not installed")
 from dronepose import Mesh, cli, evaluate  # noqa: E402
 from dronepose.data import write_toyset  # noqa: E402
 from dronepose.data._poses import poses_csv  # noqa: E402
-from dronepose.train import reproduce  # noqa: E402
+from dronepose.train import predict, reproduce  # noqa: E402
 from dronepose.train.callbacks import overlay  # noqa: E402
 from dronepose.train.cli import config_path, shipped_configs  # noqa: E402
 from dronepose.train.report import Judge, table_one  # noqa: E402
@@ -116,6 +117,20 @@ def test_predictions_are_judged_as_the_command_does(data, tmp_path):
     expected = evaluate(tmp_path / "p.csv", tmp_path / "gt.csv", mesh=data / "mesh.obj")
     assert found == pytest.approx(table_one(expected), rel=1e-12)
     assert judge.finish() is None
+
+
+def test_true_poses_are_written_without_reading_images(data, tmp_path, monkeypatch):
+    copy = shutil.copytree(data, tmp_path / "data")
+    shutil.rmtree(copy / "test" / "images")
+    names, poses = ["test-000000"], (np.eye(3)[None], np.ones((1, 3)))
+    monkeypatch.setattr(predict, "predict", lambda *_, **__: (names, *poses))
+    weights, truth = tmp_path / "w.safetensors", tmp_path / "gt.csv"
+    weights.touch()
+    call = ["--weights", weights, "--data", copy, "--out", tmp_path / "p.csv", "--gt-out", truth]
+    assert cli.dronepose(["predict", *map(str, call)]) == 0
+    found = evaluate(truth, data / "test" / "poses.csv")
+    assert (found.n_gt, found.n_predictions, found.n_matched) == (12, 12, 12)
+    assert found.metrics.npe.mean < 1e-9
 
 
 def test_overlays_are_red_green_and_yellow():

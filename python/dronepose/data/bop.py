@@ -160,6 +160,24 @@ class BopDataset(PoseDataset):
         K[:2, 2] += self.pixel_centre
         return _Item(name, scene, number, k, check_pose(R, t, place), t, K, place)
 
+    def pose(self, index: int) -> tuple[Array, Array]:
+        """The pose in a sample; no image is read.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, float64, metres.
+
+        Raises:
+            IndexError: There is no such sample.
+
+        Example:
+            >>> R, t = BopDataset("lmo", "test", object_id=5).pose(0)  # doctest: +SKIP
+        """
+        item = self._items[index]
+        return item.R, item.t
+
     def load(self, index: int) -> Raw:
         """The sample as it is on the disk.
 

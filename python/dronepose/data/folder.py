@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     import numpy as np
+    from numpy.typing import NDArray
     from torch import Tensor
 
     from dronepose.data._poses import PoseRow
+
+    Array = NDArray[np.float64]
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 
@@ -177,6 +180,24 @@ class FolderDataset(PoseDataset):
             raise DataError(f"{path}: SHA-256 is {found}, dataset.json says {stated}")
         return Mesh.from_file(path)
 
+    def pose(self, index: int) -> tuple[Array, Array]:
+        """The pose in a sample; no image is read.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, float64, metres.
+
+        Raises:
+            IndexError: There is no such sample.
+
+        Example:
+            >>> R, t = FolderDataset("toy", "train").pose(0)  # doctest: +SKIP
+        """
+        row = self.rows[index]
+        return row.R, row.t
+
     def load(self, index: int) -> Raw:
         """The sample as it is on the disk.
 
@@ -206,7 +227,7 @@ class FolderDataset(PoseDataset):
         K = self._matrix(row, place, (image.shape[0], image.shape[1]))
         return Raw(image, mask, K, row.R, row.t, row.name)
 
-    def _matrix(self, row: PoseRow, place: str, size: tuple[int, int]) -> np.ndarray[Any, Any]:
+    def _matrix(self, row: PoseRow, place: str, size: tuple[int, int]) -> Array:
         height, width = size
         own = [row.further.get(name) for name in _INTRINSICS]
         if all(own):

@@ -191,6 +191,23 @@ class UavaDataset(PoseDataset):
             )
         return _Flight(files[0])
 
+    def pose(self, index: int) -> tuple[Array, Array]:
+        """The pose in a sample; no image is read.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, float64, metres.
+
+        Raises:
+            IndexError: There is no such sample.
+
+        Example:
+            >>> R, t = UavaDataset("UAVA", "val").pose(0)  # doctest: +SKIP
+        """
+        return self._R[index], self._t[index]
+
     def load(self, index: int) -> Raw:
         """The sample as it is on the disk.
 

@@ -73,6 +73,14 @@ def predict(
     return names, np.concatenate(rotations), np.concatenate(translations)
 
 
+def true_poses_csv(dataset: PoseDataset) -> str:
+    """The poses that a data set states, as CSV for ``dronepose-eval``; no image is read."""
+    poses = [dataset.pose(k) for k in range(len(dataset))]
+    R = np.array([R for R, _ in poses]).reshape(-1, 3, 3)
+    t = np.array([t for _, t in poses]).reshape(-1, 3)
+    return poses_csv(dataset.names, R, t)
+
+
 def run(options: argparse.Namespace) -> dict[str, object]:
     """What ``dronepose predict`` does, with its arguments; says what it wrote."""
     if not options.weights.is_file():
@@ -90,7 +98,5 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     seconds = time.monotonic() - begin
     write_text(options.out, poses_csv(names, R, t))
     if options.gt_out is not None:
-        raws = [dataset.load(k) for k in range(len(dataset))]
-        truth = (np.stack([raw.R for raw in raws]), np.stack([raw.t for raw in raws]))
-        write_text(options.gt_out, poses_csv([raw.name for raw in raws], *truth))
+        write_text(options.gt_out, true_poses_csv(dataset))
     return {"out": str(options.out), "images": len(names), "seconds": round(seconds, 3)}
