@@ -41,6 +41,28 @@ def test_every_sample_comes_once_and_the_last_batch_is_kept(root):
     assert PoseDataModule(root, splits=("train", None, "test")).val_dataloader() == []
 
 
+def test_small_batches_are_left_out_of_training_on_request(root):
+    data = PoseDataModule(root, batch_size=4, drop_last=True)
+    loader = data.train_dataloader()
+    assert [len(batch["name"]) for batch in loader] == [4, 4] == 2 * [len(loader) + 2]
+    assert len(names(data.val_dataloader())) == 3
+    with pytest.raises(ValueError, match="batch_size: 11 is more than the 10 samples"):
+        PoseDataModule(root, batch_size=11, drop_last=True).train_dataloader()
+
+
+@pytest.mark.parametrize(("size", "batch"), [(10, 2), (11, 2), (13, 1), (7, 3)])
+def test_ranks_leave_out_what_one_process_leaves_out(size, batch):
+    def batches(rank, of, batch):
+        sampler = EpochSampler(size, shuffle=True, seed=1, rank=rank, world_size=of, drop_last=True)
+        taken = [number for _, number in sampler]
+        assert len(taken) == len(sampler)
+        whole = len(taken) // batch * batch
+        return np.reshape(taken[:whole], (-1, batch))
+
+    parts = np.stack([batches(rank, 2, batch) for rank in range(2)], axis=2)
+    assert parts.reshape(-1, 2 * batch).tolist() == batches(0, 1, 2 * batch).tolist()
+
+
 def test_order_and_augmentation_depend_on_seed_and_epoch_alone(root):
     def epoch(number, seed=0, workers=0):
         data = PoseDataModule(root, batch_size=4, seed=seed, workers=workers, **AUGMENTED)

@@ -17,6 +17,7 @@ pytest.importorskip("lightning", reason="lightning is not installed")
 from dronepose import Mesh, cli, evaluate  # noqa: E402
 from dronepose.data import write_toyset  # noqa: E402
 from dronepose.data._poses import poses_csv  # noqa: E402
+from dronepose.model import read_metadata  # noqa: E402
 from dronepose.train import predict, reproduce  # noqa: E402
 from dronepose.train.callbacks import overlay  # noqa: E402
 from dronepose.train.cli import config_path, shipped_configs  # noqa: E402
@@ -195,11 +196,11 @@ def test_prediction_and_evaluation_follow_from_the_weights(trained, data, tmp_pa
     assert found["cpe"] == pytest.approx(
         table_one(evaluate(csv, data / "val" / "poses.csv", mesh=data / "mesh.obj"))["cpe"]
     )
-    from dronepose.model import read_metadata
-
     told = read_metadata(out / "best.safetensors")
     assert found["cpe"] == pytest.approx(told["metrics"]["cpe"], rel=1e-4)
     assert told["seed"] == 0
+    assert told["extra"]["compat"] == "paper"
+    assert told["extra"]["chosen_on"] == "val"
     assert len(told["mesh_sha256"]) == 64
 
 
@@ -218,6 +219,37 @@ def test_a_run_that_was_stopped_goes_on(data, tmp_path):
     assert (a["epoch"], a["global_step"]) == (b["epoch"], b["global_step"]) == (2, 12)
     for name, value in a["state_dict"].items():
         torch.testing.assert_close(value, b["state_dict"][name], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_what_the_authors_code_does_with_data_is_done_on_request(data, tmp_path):
+    copy, out = shutil.copytree(data, tmp_path / "data"), tmp_path / "out"
+    shutil.rmtree(copy / "val")  # is never read
+    done = train(
+        copy, out, "--model.compat", "authors", "--trainer.max_epochs", 2, "--data.batch_size", 10,
+        "--trainer.log_every_n_steps", 1,
+    )  # fmt: skip
+    assert "chosen on the test split 'test'" in done.stderr
+    assert "smaller than 10 are left out" in done.stderr
+    assert len(losses_of(out)) == 2 * 4  # of 48 samples 8 are left out
+    told = read_metadata(out / "best.safetensors")
+    assert (
+        told["extra"] | {"compat": "authors", "chosen_on": "test", "drop_last": True}
+        == (told["extra"])
+    )
+    assert "drop_last: true" in told["config"]
+    csv = tmp_path / "p.csv"
+    dronepose("predict", "--weights", out / "best.safetensors", "--data", copy, "--out", csv)
+    truth = copy / "test" / "poses.csv"
+    expected = table_one(evaluate(csv, truth, mesh=copy / "mesh.obj", preset="authors"))
+    assert told["metrics"]["cpe"] == pytest.approx(expected["cpe"], rel=1e-4)
+    assert expected["cpe"] != pytest.approx(table_one(evaluate(csv, truth))["cpe"], rel=1e-4)
+    again = train(
+        copy, out, "--model.compat", "authors", "--data.batch_size", 50, "--resume", "true",
+        check=False,
+    )  # fmt: skip
+    assert again.returncode == 1
+    assert "batch_size: 50 is more than the 48 samples" in again.stderr
 
 
 @pytest.mark.slow

@@ -23,8 +23,8 @@ class EpochSampler(DistributedSampler[Any]):
     Rank ``r`` of ``n`` takes every n-th index of that order from the r-th on, so that ``n``
     processes with a batch of ``b`` each see, step by step, what one process with a batch of
     ``n b`` sees. When shuffled, the order is lengthened by its own beginning until it can be
-    divided by ``n``, as each rank has to take part in every step; when not, it is not, so that
-    nothing is scored twice.
+    divided by ``n``, as each rank has to take part in every step (or cut, with ``drop_last``); when
+    not, it is not, so that nothing is scored twice.
 
     Being a ``DistributedSampler``, it is left alone by Lightning, which calls :meth:`set_epoch`.
 
@@ -34,6 +34,7 @@ class EpochSampler(DistributedSampler[Any]):
         seed: Of the order.
         rank: This process; ``None`` asks ``torch.distributed`` and is 0 without it.
         world_size: Number of processes; ``None`` alike, and 1.
+        drop_last: Whether a shuffled order is cut to a multiple of the processes, not lengthened.
 
     Example:
         >>> list(EpochSampler(3, shuffle=False, seed=0))
@@ -48,6 +49,7 @@ class EpochSampler(DistributedSampler[Any]):
         seed: int,
         rank: int | None = None,
         world_size: int | None = None,
+        drop_last: bool = False,
     ) -> None:
         grouped = torch.distributed.is_available() and torch.distributed.is_initialized()
         if world_size is None:
@@ -60,6 +62,7 @@ class EpochSampler(DistributedSampler[Any]):
             rank=rank,
             shuffle=shuffle,
             seed=seed,
+            drop_last=drop_last,
         )
         self.size = size
 
@@ -68,6 +71,8 @@ class EpochSampler(DistributedSampler[Any]):
         if self.shuffle:
             generator = torch.Generator().manual_seed((self.seed << 20) + self.epoch)
             order = torch.randperm(self.size, generator=generator).tolist()
+            if self.drop_last:
+                del order[self.size - self.size % self.num_replicas :]
             while order and len(order) % self.num_replicas:
                 order += order[: self.num_replicas - len(order) % self.num_replicas]
         return order[self.rank :: self.num_replicas]
@@ -76,14 +81,17 @@ class EpochSampler(DistributedSampler[Any]):
         return iter([(self.epoch, number) for number in self._own()])
 
     def __len__(self) -> int:
-        return len(self._own()) if not self.shuffle else -(-self.size // self.num_replicas)
+        if not self.shuffle:
+            return len(range(self.rank, self.size, self.num_replicas))
+        spare = 0 if self.drop_last else self.num_replicas - 1
+        return (self.size + spare) // self.num_replicas
 
 
 class PoseDataModule(LightningDataModule):
     """Training, validation and test data for a Lightning ``Trainer``.
 
     The training split is augmented and shuffled, both from ``seed`` and the epoch alone: any number
-    of workers gives the same batches. The last batch is kept, however small.
+    of workers gives the same batches. The last batch is kept, however small, unless ``drop_last``.
 
     Args:
         kind: ``"folder"`` (:class:`FolderDataset`), ``"uava"`` (:class:`UavaDataset`) or ``"bop"``
@@ -101,6 +109,7 @@ class PoseDataModule(LightningDataModule):
         erase: As in :class:`PhotometricAugmentation`.
         splits: Names of the splits for training, validation and test; the validation split may be
             ``None``, if there is none.
+        drop_last: Whether training leaves out a last batch smaller than ``batch_size``.
         start: How workers start: ``"fork"``, ``"spawn"`` or ``"forkserver"``; ``None`` is the
             system's. All work with the threads of the renderer.
         options: Further arguments of the data set, such as ``object_id`` of :class:`BopDataset`.
@@ -130,6 +139,7 @@ class PoseDataModule(LightningDataModule):
         photometric: float = 0.0,
         erase: float = 0.0,
         splits: tuple[str, str | None, str] = ("train", "val", "test"),
+        drop_last: bool = False,
         start: Literal["fork", "spawn", "forkserver"] | None = None,
         options: dict[str, Any] | None = None,
     ) -> None:
@@ -152,7 +162,7 @@ class PoseDataModule(LightningDataModule):
         self.root, self.kind = root, kind
         self.batch_size, self.workers, self.seed, self.start = batch_size, workers, seed, start
         self.height, self.width = height, width
-        self.splits, self.options = splits, dict(options or {})
+        self.splits, self.drop_last, self.options = splits, drop_last, dict(options or {})
         self.geometric: GeometricAugmentation | None = None
         if rotation_deg or shift or tuple(scale) != (1.0, 1.0):
             self.geometric = GeometricAugmentation(
@@ -240,6 +250,9 @@ class PoseDataModule(LightningDataModule):
         Returns:
             The loader; a new one starts at epoch 0, or at the trainer's.
 
+        Raises:
+            ValueError: There is no whole batch, and ``drop_last`` leaves out smaller ones.
+
         Example:
             >>> PoseDataModule("toy").train_dataloader()  # doctest: +SKIP
         """
@@ -283,7 +296,13 @@ class PoseDataModule(LightningDataModule):
             stage = {"train": "fit", "val": "validate", "test": "test"}[role]
             self.setup(stage)
         data = self._sets[role]
-        sampler = EpochSampler(len(data), shuffle=shuffle, seed=self.seed)
+        drop_last = self.drop_last and role == "train"
+        sampler = EpochSampler(len(data), shuffle=shuffle, seed=self.seed, drop_last=drop_last)
+        if drop_last and len(sampler) < self.batch_size:
+            raise ValueError(
+                f"batch_size: {self.batch_size} is more than the {len(sampler)} samples that a "
+                f"process has of split {self.splits[0]!r}, and drop_last leaves out smaller batches"
+            )
         if self.trainer is not None:
             sampler.set_epoch(self.trainer.current_epoch)
         return DataLoader(
@@ -295,7 +314,7 @@ class PoseDataModule(LightningDataModule):
             multiprocessing_context=self.start if self.workers else None,
             persistent_workers=self.workers > 0 and self.start != "fork",
             pin_memory=torch.cuda.is_available(),
-            drop_last=False,
+            drop_last=drop_last,
         )
 
 

@@ -29,6 +29,7 @@ from dronepose.train.report import Judge
 from dronepose.train.source import mesh_file
 
 Mode = Literal["coverage", "dibr", "sigmoid"]
+Compat = Literal["paper", "authors"]
 
 
 class Exo(nn.Module):
@@ -124,8 +125,10 @@ class PoseTask(lightning.LightningModule):
         lr_schedule: ``"constant"``, as in the paper, or ``"cosine"``: up to ``lr`` along a line
             during the first twentieth of the steps, then down to zero along half a cosine.
         freeze_norm: Keep the statistics of batch normalisation as they are.
-        compat: ``"paper"``, or ``"authors"``: the mean over the three coordinates in ``L_t``, means
-            of the means of batches in validation and test.
+        compat: ``"paper"``, or ``"authors"``: the mean over the three coordinates in ``L_t``, and
+            errors in validation and test as means of the means of batches of 8, as their script
+            has them. ``dronepose train`` then uses the data as their script does, too:
+            :func:`dronepose.train.cli.as_authors`.
 
     Raises:
         ValueError: A share is outside of 0 to 1, a schedule does not begin at epoch 0, or a name is
@@ -150,40 +153,42 @@ class PoseTask(lightning.LightningModule):
         lr: float = 1e-4,
         lr_schedule: Literal["constant", "cosine"] = "constant",
         freeze_norm: bool = False,
-        compat: Literal["paper", "authors"] = "paper",
+        compat: Compat = "paper",
     ) -> None:
         super().__init__()
         self.save_hyperparameters()
         self.schedule = _schedule(lambda_exo if silhouette != "none" else 0.0)
         if not 0 <= lambda_pose <= 1:
             raise ValueError(f"lambda_pose: {lambda_pose}; expected 0 to 1")
+        if compat not in ("paper", "authors"):
+            raise ValueError(f"compat: {compat!r}; expected 'paper' or 'authors'")
         if lr_schedule not in ("constant", "cosine"):
             raise ValueError(f"lr_schedule: {lr_schedule!r}; expected 'constant' or 'cosine'")
         self.lambda_pose, self.lr, self.lr_schedule = lambda_pose, lr, lr_schedule
-        self.freeze_norm, self.authors = freeze_norm, compat == "authors"
+        self.freeze_norm, self.compat = freeze_norm, compat
         widths: dict[str, Any] = {} if hidden is None else {"hidden": hidden}
         net = PoseNet(
             backbone, weights=weights, normalisation=normalisation, camera=camera, **widths
         )
         self.model = net.to(memory_format=torch.channels_last)
-        self._mesh = mesh
+        self.mesh = mesh
         self._exo_options = (silhouette, dict(silhouette_options or {}), mode, sigma, delta)
         self.exo: Exo | None = None
-        self.judge = Judge(None, authors=self.authors)
+        self.judge = Judge(None, preset=compat)
         self.epoch_report: dict[str, float] = {}
 
     def configure_model(self) -> None:
         """Load the mesh: of the arguments, or of the data set."""
         if self.exo is not None or self.judge.mesh is not None:
             return
-        path = mesh_file(self._mesh, self.trainer.datamodule)  # type: ignore[attr-defined]
+        path = mesh_file(self.mesh, self.trainer.datamodule)  # type: ignore[attr-defined]
         name, options, mode, sigma, delta = self._exo_options
         if path is None:
             if name != "none":
                 raise ValueError("mesh: a silhouette loss needs one, and the data set names none")
             return
         mesh = Mesh.from_file(path)
-        self.judge = Judge(mesh, authors=self.authors)
+        self.judge = Judge(mesh, preset=self.compat)
         if name != "none":
             self.exo = Exo(mesh, name, options, mode=mode, sigma=sigma, delta=delta)
 
@@ -213,9 +218,8 @@ class PoseTask(lightning.LightningModule):
     def objective(self, batch: dict[str, Any]) -> dict[str, Tensor]:
         """The loss and its parts, for a collated batch of samples."""
         R, t = self.model(batch["image"], batch["K"])
-        form: Literal["paper", "authors"] = "authors" if self.authors else "paper"
         parts = {
-            "translation": losses.translation_loss(t.float(), batch["t"], form=form),
+            "translation": losses.translation_loss(t.float(), batch["t"], form=self.compat),
             "rotation": losses.rotation_loss(R.float(), batch["R"]),
         }
         share = self.lambda_exo(self.current_epoch)
