@@ -252,6 +252,25 @@ def test_what_the_authors_code_does_with_data_is_done_on_request(data, tmp_path)
     assert "batch_size: 50 is more than the 48 samples" in again.stderr
 
 
+def train_on_two(data, out, *more):
+    """Two processes, connected by gloo."""
+    call = [
+        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2",
+        "-m", "dronepose", "train", "--config", "smoke", "--data.root", data, "--out", out,
+        "--trainer.strategy", "ddp", "--trainer.devices", "2", "--trainer.accelerator", "cpu",
+        *more,
+    ]  # fmt: skip
+    done = subprocess.run(
+        list(map(str, call)),
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done
+
+
 @pytest.mark.slow
 def test_two_processes_learn_what_one_does(data, tmp_path):
     more = ("--trainer.max_epochs", 2, "--model.freeze_norm", "true", "--model.silhouette", "iou",
@@ -259,18 +278,25 @@ def test_two_processes_learn_what_one_does(data, tmp_path):
             "--model.lambda_pose", 0.95)  # fmt: skip
     one, two = tmp_path / "one", tmp_path / "two"
     train(data, one, *more)
-    call = [
-        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2",
-        "-m", "dronepose", "train", "--config", "smoke", "--data.root", data, "--out", two,
-        "--trainer.strategy", "ddp",
-        "--trainer.devices", "2", "--trainer.accelerator", "cpu", "--data.batch_size", "6", *more,
-    ]  # fmt: skip
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(list(map(str, call)), capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr[-3000:]
+    train_on_two(data, two, "--data.batch_size", 6, *more)
     a, b = losses_of(one), losses_of(two)
     assert len(a) == len(b) == 8
     np.testing.assert_allclose(a, b, rtol=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 5])
+def test_two_processes_score_each_sample_once(count, tmp_path):
+    data, out, csv = tmp_path / "data", tmp_path / "out", tmp_path / "p.csv"
+    write_toyset(data, height=48, width=64, counts={"train": 8, "val": count}, seed=3)
+    done = train_on_two(
+        data, out, "--data.batch_size", 2, "--trainer.max_epochs", 1, "--model.silhouette", "none"
+    )
+    assert "sync_dist" not in done.stderr
+    weights = out / "best.safetensors"
+    dronepose("predict", "--weights", weights, "--data", data, "--split", "val", "--out", csv)
+    expected = table_one(evaluate(csv, data / "val" / "poses.csv", mesh=data / "mesh.obj"))
+    assert read_metadata(weights)["metrics"] == pytest.approx(expected, rel=1e-4)
 
 
 def test_errors_of_the_commands_name_what_is_missing(tmp_path, capsys):

@@ -22,9 +22,10 @@ class EpochSampler(DistributedSampler[Any]):
 
     Rank ``r`` of ``n`` takes every n-th index of that order from the r-th on, so that ``n``
     processes with a batch of ``b`` each see, step by step, what one process with a batch of
-    ``n b`` sees. When shuffled, the order is lengthened by its own beginning until it can be
-    divided by ``n``, as each rank has to take part in every step (or cut, with ``drop_last``); when
-    not, it is not, so that nothing is scored twice.
+    ``n b`` sees. As each rank has to take part in every step, of training and of validation, the
+    order is lengthened by its own beginning until it can be divided by ``n``, or cut with
+    ``drop_last``. Whoever scores what several ranks predict tells samples that came twice by their
+    names, as :class:`dronepose.train.report.Judge` does.
 
     Being a ``DistributedSampler``, it is left alone by Lightning, which calls :meth:`set_epoch`.
 
@@ -34,7 +35,7 @@ class EpochSampler(DistributedSampler[Any]):
         seed: Of the order.
         rank: This process; ``None`` asks ``torch.distributed`` and is 0 without it.
         world_size: Number of processes; ``None`` alike, and 1.
-        drop_last: Whether a shuffled order is cut to a multiple of the processes, not lengthened.
+        drop_last: Whether the order is cut to a multiple of the processes, not lengthened.
 
     Example:
         >>> list(EpochSampler(3, shuffle=False, seed=0))
@@ -71,18 +72,16 @@ class EpochSampler(DistributedSampler[Any]):
         if self.shuffle:
             generator = torch.Generator().manual_seed((self.seed << 20) + self.epoch)
             order = torch.randperm(self.size, generator=generator).tolist()
-            if self.drop_last:
-                del order[self.size - self.size % self.num_replicas :]
-            while order and len(order) % self.num_replicas:
-                order += order[: self.num_replicas - len(order) % self.num_replicas]
+        if self.drop_last:
+            del order[self.size - self.size % self.num_replicas :]
+        while order and len(order) % self.num_replicas:
+            order += order[: self.num_replicas - len(order) % self.num_replicas]
         return order[self.rank :: self.num_replicas]
 
     def __iter__(self) -> Iterator[Any]:
         return iter([(self.epoch, number) for number in self._own()])
 
     def __len__(self) -> int:
-        if not self.shuffle:
-            return len(range(self.rank, self.size, self.num_replicas))
         spare = 0 if self.drop_last else self.num_replicas - 1
         return (self.size + spare) // self.num_replicas
 

@@ -184,6 +184,7 @@ def quiet() -> None:
         ".*isinstance\\(treespec, LeafSpec\\).*",
         ".*LightningCLI's args parameter.*",
         ".*Experiment logs directory .* exists.*",
+        ".*sync_dist=True.*",  # all processes log the same number
     ):
         warnings.filterwarnings("ignore", message=text)
     for name in ("lightning.pytorch", "lightning.fabric"):

@@ -42,8 +42,12 @@ class Judge:
     def finish(self, processes: int = 1) -> dict[str, float] | None:
         """The metrics of Table 1 over all that was added, by name, and forget it.
 
-        ``None`` if nothing was. Samples that two processes were given, to have as many each, count
-        once. The order is that of the names.
+        Args:
+            processes: How many take part, each in this call; all get the result.
+
+        Returns:
+            As :func:`table_one`, or ``None`` if nothing was added. A sample that came twice,
+            because each process is given as many, counts once. The order is that of the names.
         """
         rows, self._rows = self._rows, {}
         if processes > 1:
