@@ -64,6 +64,13 @@ def test_ranks_leave_out_what_one_process_leaves_out(size, batch):
     assert parts.reshape(-1, 2 * batch).tolist() == batches(0, 1, 2 * batch).tolist()
 
 
+def test_the_training_set_is_opened_once(root):
+    data = PoseDataModule(root, batch_size=4)
+    first = data.training_set()
+    data.setup("fit")
+    assert data.training_set() is first is data.train_dataloader().dataset
+
+
 def test_order_and_augmentation_depend_on_seed_and_epoch_alone(root):
     def epoch(number, seed=0, workers=0):
         data = PoseDataModule(root, batch_size=4, seed=seed, workers=workers, **AUGMENTED)

@@ -178,6 +178,18 @@ def test_errors_name_file_line_and_sample(uava):
     )
 
 
+def test_files_that_are_no_text_are_named(uava):
+    root, _ = uava
+    scenes = root / "data splits" / "scenes_train.txt"
+    flight = next((root / "trajectories").rglob("*blender*"))
+    for file in (scenes, flight):
+        good = file.read_bytes()
+        file.write_bytes(b"\xff" + good)
+        with pytest.raises(DataError, match=rf"{file.name}: not UTF-8 at byte 0, expected the"):
+            UavaDataset(root, "train")
+        file.write_bytes(good)
+
+
 def test_missing_files_are_named(uava):
     root, _ = uava
     lists = root / "data splits" / "scenes_train.txt"

@@ -15,9 +15,9 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 pytest.importorskip("lightning", reason="lightning is not installed")
 
 from dronepose import Mesh, cli, evaluate  # noqa: E402
-from dronepose.data import write_toyset  # noqa: E402
+from dronepose.data import PoseDataModule, write_toyset  # noqa: E402
 from dronepose.data._poses import poses_csv  # noqa: E402
-from dronepose.model import read_metadata  # noqa: E402
+from dronepose.model import PoseNet, read_metadata, save_weights  # noqa: E402
 from dronepose.train import predict, reproduce  # noqa: E402
 from dronepose.train.callbacks import overlay  # noqa: E402
 from dronepose.train.cli import config_path, shipped_configs  # noqa: E402
@@ -118,6 +118,32 @@ def test_predictions_are_judged_as_the_command_does(data, tmp_path):
     expected = evaluate(tmp_path / "p.csv", tmp_path / "gt.csv", mesh=data / "mesh.obj")
     assert found == pytest.approx(table_one(expected), rel=1e-12)
     assert judge.finish() is None
+
+
+def test_images_are_brought_to_the_size_of_training(data, tmp_path):
+    weights, out = tmp_path / "w.safetensors", tmp_path / "p.csv"
+    torch.manual_seed(0)
+    model = PoseNet("resnet18", hidden=(16,))
+    save_weights(model, weights, {"image_size": (24, 32)})
+    call = ["predict", "--weights", weights, "--data", data, "--out", out]
+    assert cli.dronepose(list(map(str, call))) == 0
+    small = PoseDataModule(str(data), height=24, width=32).dataset("test")
+    assert out.read_text() == poses_csv(*predict.predict(weights, small))
+    plain = PoseDataModule(str(data)).dataset("test")
+    assert out.read_text() != poses_csv(*predict.predict(weights, plain))
+    assert predict.image_size(data / "mesh.obj") == (None, None)
+
+
+def test_a_pose_that_is_not_finite_is_refused_by_name(data, tmp_path):
+    weights = tmp_path / "w.safetensors"
+    model = PoseNet("resnet18", hidden=(16,))
+    with torch.no_grad():
+        model.translation.weight.mul_(1e38)
+        model.translation.bias.fill_(3e38)
+        model.embedding.bias.fill_(1e3)
+    save_weights(model, weights)
+    with pytest.raises(ValueError, match=r"w\.safetensors: .* sample 'test-000000' is not finite"):
+        predict.predict(weights, PoseDataModule(str(data)).dataset("test"))
 
 
 def test_true_poses_are_written_without_reading_images(data, tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dronepose import geometry
-from dronepose.data._errors import DataError, missing
+from dronepose.data._errors import DataError, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -108,12 +108,7 @@ def read_poses(path: Path) -> list[PoseRow]:
         FileNotFoundError: There is no such file.
         DataError: A column is missing, an id occurs twice, or a value or pose is wrong.
     """
-    if not path.is_file():
-        missing(path, "a CSV file of poses")
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not UTF-8 at byte {error.start}") from None
+    text = read_text(path, "a CSV file of poses")
     reader = csv.reader(io.StringIO(text, newline=""))
     header = [name.strip() for name in next(reader, [])]
     forms = (_QUATERNION, _MATRIX, _VECTOR)

@@ -101,6 +101,7 @@ class BopDataset(PoseDataset):
         self.folder = Path(root) / split
         self.object_id, self.instance, self.mask = object_id, instance, mask
         self.pixel_centre = pixel_centre
+        self._assumed = object_id is None  # the first object is taken, and has to be the only one
         scenes = _scenes(self.folder)
         self._items = [
             item for scene in scenes for item in self._scene(scene, several=len(scenes) > 1)
@@ -139,9 +140,8 @@ class BopDataset(PoseDataset):
             raise DataError(f"{place}: an instance without a whole number obj_id")
         if self.object_id is None:
             self.object_id = one["obj_id"]
-            self._assumed = True
         same: bool = one["obj_id"] == self.object_id
-        if not same and getattr(self, "_assumed", False):
+        if not same and self._assumed:
             raise ValueError(
                 f"object_id: {place} holds objects {self.object_id} and {one['obj_id']}; choose one"
             )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from dronepose.data._manifest import FORMAT, SPLITS
 from dronepose.data._poses import number, read_poses
 from dronepose.data.sample import PoseDataset, Raw, check_sizes
 from dronepose.mesh import Mesh
+from dronepose.model.metadata import file_sha256
 
 if TYPE_CHECKING:
     import os
@@ -175,7 +175,7 @@ class FolderDataset(PoseDataset):
         if not path.is_file():
             missing(path, "the mesh of the data set")
         stated = self.manifest.get("mesh", {}).get("sha256")
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
+        found = file_sha256(path)
         if stated is not None and stated != found:
             raise DataError(f"{path}: SHA-256 is {found}, dataset.json says {stated}")
         return Mesh.from_file(path)

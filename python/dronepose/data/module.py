@@ -228,20 +228,38 @@ class PoseDataModule(LightningDataModule):
         Example:
             >>> PoseDataModule("toy").setup("fit")  # doctest: +SKIP
         """
-        train, val, test = self.splits
+        _, val, test = self.splits
         if stage in ("fit", None):
-            self._open("train", train, augmented=True)
+            self.training_set()
         if stage in ("fit", "validate", None) and val is not None:
             self._open("val", val)
         if stage in ("test", "predict", None):
             self._open("test", test)
 
-    def _open(self, role: str, split: str, *, augmented: bool = False) -> None:
+    def training_set(self) -> PoseDataset:
+        """The training split with its augmentation, opened at the first call.
+
+        Returns:
+            The data set.
+
+        Raises:
+            FileNotFoundError: A file is missing.
+            DataError: A file is wrong.
+            ValueError: It holds no samples.
+
+        Example:
+            >>> PoseDataModule("toy").training_set().names[0]  # doctest: +SKIP
+            'train-000000'
+        """
+        return self._open("train", self.splits[0], augmented=True)
+
+    def _open(self, role: str, split: str, *, augmented: bool = False) -> PoseDataset:
         if role not in self._sets:
             found = self.dataset(split, augmented=augmented)
             if len(found) == 0:
                 raise ValueError(f"splits: {split!r} of {self.root} holds no samples")
             self._sets[role] = found
+        return self._sets[role]
 
     def train_dataloader(self) -> DataLoader[Sample]:
         """Batches of the training split, shuffled and augmented.

@@ -12,7 +12,7 @@ import numpy as np
 
 from dronepose import geometry
 from dronepose.camera import Camera
-from dronepose.data._errors import DataError, missing
+from dronepose.data._errors import DataError, missing, read_text
 from dronepose.data._images import read_mask, read_rgb
 from dronepose.data._poses import TOLERANCE, check_pose, number
 from dronepose.data.sample import PoseDataset, Raw, check_sizes
@@ -264,16 +264,15 @@ def buildings(path: Path) -> list[tuple[str, str]]:
 
     Raises:
         FileNotFoundError: There is no such file.
-        DataError: A name occurs twice, or there is none.
+        DataError: A name occurs twice, there is none, or the file is not UTF-8.
 
     Example:
         >>> buildings(Path("data splits/scenes_val.txt"))[0]  # doctest: +SKIP
         ('2azQ1b91cZZ', 'data splits/scenes_val.txt:1')
     """
-    if not path.is_file():
-        missing(path, "the list of the buildings of a split")
+    content = read_text(path, "the list of the buildings of a split")
     found: dict[str, str] = {}
-    for line, text in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+    for line, text in enumerate(content.splitlines(), 1):
         name = text.strip()
         if name in found:
             raise DataError(f"{path}:{line}: {name} again, first in {found[name]}")
@@ -314,7 +313,7 @@ class _Flight:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "the file of a flight")
         reader = csv.DictReader(io.StringIO(text, newline=""), delimiter="\t")
         absent = [name for name in self.columns() if name not in (reader.fieldnames or [])]
         if absent:

@@ -19,7 +19,7 @@ from dronepose.infer.overlay import Style, draw
 from dronepose.infer.video import video_writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -228,8 +228,7 @@ def _finished(
 
 
 def _chunks(source: Source, options: Options) -> Iterator[list[Frame]]:
-    frames: Iterable[Frame] = islice(source.frames(), options.limit)
-    frames = iter(frames)
+    frames = islice(source.frames(), options.limit)
     size = 1 if source.live else options.batch
     while chunk := list(islice(frames, size)):
         yield chunk

@@ -137,6 +137,7 @@ class BestWeights(Callback):
     Args:
         folder: Where.
         config: The configuration of the run, as text, for the metadata.
+        seed: That of the run, for the metadata.
     """
 
     def __init__(self, folder: str | Path, config: str = "", seed: int | None = None) -> None:
@@ -174,6 +175,7 @@ def run_metadata(trainer: Trainer, task: PoseTask, config: str, seed: int | None
         "metrics": task.epoch_report,
         "mesh_sha256": None if mesh is None else file_sha256(mesh),
         "intrinsics": camera_of(data),
+        "image_size": None if data.height is None else (data.height, data.width),
         "config": config,
         "extra": {
             "epoch": trainer.current_epoch,

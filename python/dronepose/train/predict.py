@@ -13,11 +13,13 @@ from torch.utils.data import DataLoader
 from dronepose._files import write_text
 from dronepose.data import PoseDataModule
 from dronepose.data._poses import poses_csv
-from dronepose.model import model_from_file
+from dronepose.data.module import one_thread
+from dronepose.model import WeightsError, model_from_file, read_metadata
 
 if TYPE_CHECKING:
     import argparse
     import os
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -49,16 +51,24 @@ def predict(
 
     Raises:
         OSError: A file cannot be read.
-        ValueError: The weights or a sample were refused.
+        ValueError: The weights or a sample were refused, or a predicted pose is not finite.
     """
     model = model_from_file(weights).to(device).eval()
-    loader = DataLoader(dataset, batch_size=batch_size, num_workers=workers)
+    loader = DataLoader(
+        dataset, batch_size=batch_size, num_workers=workers, worker_init_fn=one_thread
+    )
     names: list[str] = []
     rotations, translations = [], []
     begin, shown = time.monotonic(), 0.0
     with torch.inference_mode():
         for batch in loader:
             R, t = model(batch["image"].to(device), batch["K"].to(device))
+            finite = R.isfinite().all(dim=(1, 2)) & t.isfinite().all(dim=1)
+            if not finite.all():
+                first = batch["name"][int(finite.int().argmin())]
+                raise ValueError(
+                    f"{weights}: the pose predicted for sample {first!r} is not finite"
+                )
             names += batch["name"]
             rotations.append(R.double().cpu().numpy())
             translations.append(t.double().cpu().numpy())
@@ -81,11 +91,40 @@ def true_poses_csv(dataset: PoseDataset) -> str:
     return poses_csv(dataset.names, R, t)
 
 
+def image_size(weights: Path) -> tuple[int | None, int | None]:
+    """Height and width of the images that weights were trained on; ``None`` if they do not say."""
+    try:
+        height, width = read_metadata(weights).get("image_size", (None, None))
+    except WeightsError:  # a checkpoint of others
+        return None, None
+    return height, width
+
+
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """What ``dronepose predict`` does, with its arguments; says what it wrote."""
+    """What ``dronepose predict`` does.
+
+    Images are brought to the size that the weights were trained on.
+
+    Args:
+        options: The arguments of the command, parsed.
+
+    Returns:
+        What was written, as for JSON.
+
+    Raises:
+        OSError: A file cannot be read or written.
+        ValueError: The weights, the data or an argument were refused.
+    """
     if not options.weights.is_file():
         raise FileNotFoundError(f"{options.weights}: there is no such file of weights")
-    data = PoseDataModule(kind=options.kind, root=str(options.data), batch_size=options.batch_size)
+    height, width = image_size(options.weights)
+    data = PoseDataModule(
+        kind=options.kind,
+        root=str(options.data),
+        batch_size=options.batch_size,
+        height=height,
+        width=width,
+    )
     dataset = data.dataset(options.split)
     begin = time.monotonic()
     names, R, t = predict(

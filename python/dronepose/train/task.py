@@ -35,6 +35,15 @@ Compat = Literal["paper", "authors"]
 class Exo(nn.Module):
     """The silhouette objective: masks of a mesh under predicted poses, and a loss for them.
 
+    Args:
+        mesh: The model, metres.
+        loss: Its name, as :func:`dronepose.losses.silhouette_loss` takes it.
+        options: Its options.
+        mode: As in :class:`PoseTask`, and so are the following.
+        sigma: As in :class:`PoseTask`.
+        delta: As in :class:`PoseTask`.
+        sigma_ndc: Width of mode ``"sigmoid"``, squared NDC, as SoftRas has it.
+
     Attributes:
         seconds: Time spent in forward and backward passes since it was last set to zero.
     """
