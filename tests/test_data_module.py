@@ -14,6 +14,7 @@ from dronepose.data import FolderDataset, PoseDataModule, write_toyset  # noqa: 
 from dronepose.data.module import EpochSampler, one_thread  # noqa: E402
 
 FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
+CORES_WARNING = "ignore:This DataLoader will create:UserWarning"  # where there is one core
 AUGMENTED = {"rotation_deg": 20.0, "scale": (0.9, 1.2), "shift": 0.1, "photometric": 1.0}
 
 
@@ -90,7 +91,7 @@ def test_order_and_augmentation_depend_on_seed_and_epoch_alone(root):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.filterwarnings(FORK_WARNING, CORES_WARNING)
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_workers_give_what_one_process_gives(root, start):
     plain = PoseDataModule(root, batch_size=4, **AUGMENTED).train_dataloader()
@@ -107,7 +108,7 @@ def test_workers_give_what_one_process_gives(root, start):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.filterwarnings(FORK_WARNING, CORES_WARNING)
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_workers_draw_with_the_threads_of_the_renderer(root, start):
     data = data_workers.Drawn(root, "train")

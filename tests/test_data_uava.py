@@ -12,6 +12,7 @@ from dronepose import Camera, Mesh, render  # noqa: E402
 from dronepose.data import DataError, PoseDataModule, UavaDataset  # noqa: E402
 from dronepose.data.toyset import EXAMPLE_MESH  # noqa: E402
 from dronepose.geometry import matrix_from_quat_xyzw, quat_wxyz_from_matrix  # noqa: E402
+from dronepose.train.source import camera_of  # noqa: E402
 from support import SHARED  # noqa: E402
 
 DATE = "2019-12-24-13-30-23"
@@ -148,6 +149,16 @@ def test_through_the_data_module(uava):
     data = PoseDataModule(str(root), kind="uava", batch_size=5, options={"frames": (0,)})
     names = [name for batch in data.test_dataloader() for name in batch["name"]]
     assert sorted(names) == sorted(name for name in known if name.endswith("_0"))
+
+
+@pytest.mark.parametrize("size", [{}, {"height": 30, "width": 50}])
+def test_training_knows_the_camera(uava, size):
+    root, _ = uava
+    data = PoseDataModule(str(root), kind="uava", **size)
+    sample = data.training_set()[0]
+    camera = camera_of(data)
+    assert (3, camera.height, camera.width) == sample["image"].shape
+    np.testing.assert_allclose(camera.K, sample["K"], rtol=1e-6)
 
 
 def test_errors_name_file_line_and_sample(uava):

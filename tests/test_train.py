@@ -100,6 +100,8 @@ def test_the_objective_is_the_formula_of_the_paper(data):
     expected = 0.75 * (0.7 * translation + 0.3 * rotation) + 0.25 * silhouette
     torch.testing.assert_close(found["loss"], expected, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found["rotation"], rotation, rtol=1e-4, atol=1e-4)
+    with pytest.raises(ValueError, match="silhouette: sample 'a' has no mask"):
+        task.objective(batch | {"mask": torch.zeros(2, 0, 0)})
 
 
 def test_predictions_are_judged_as_the_command_does(data, tmp_path):

@@ -230,9 +230,21 @@ class UavaDataset(PoseDataset):
         image = read_rgb(file, whose)
         mask = read_mask(Path(self._masks[index]), whose) if self._masks else None
         check_sizes(image, mask, f"{file}: {whose}")
-        rows, columns = image.shape[:2]
-        camera = Camera.from_fov(columns, rows, horizontal_deg=self.horizontal_deg)
-        return Raw(image, mask, camera.K, self._R[index], self._t[index], name)
+        K = self._camera(image.shape[0], image.shape[1]).K
+        return Raw(image, mask, K, self._R[index], self._t[index], name)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the images, at the size of the first, which is read for it.
+
+        Example:
+            >>> UavaDataset("UAVA", "val").camera.cx  # doctest: +SKIP
+            160.0
+        """
+        return self._camera(*self.load(0).size)
+
+    def _camera(self, height: int, width: int) -> Camera:
+        return Camera.from_fov(width, height, horizontal_deg=self.horizontal_deg)
 
     def pairs(self) -> list[tuple[int, int]]:
         """Indices of the two time steps of each row of which both are here.

@@ -225,7 +225,18 @@ class PoseTask(lightning.LightningModule):
                     module.eval()
 
     def objective(self, batch: dict[str, Any]) -> dict[str, Tensor]:
-        """The loss and its parts, for a collated batch of samples."""
+        """The loss and its parts.
+
+        Args:
+            batch: Samples as :class:`dronepose.data.Sample` has them, collated.
+
+        Returns:
+            ``loss``, ``translation`` (square metres), ``rotation`` (radians), and ``silhouette`` if
+            it has a share; numbers.
+
+        Raises:
+            ValueError: A silhouette loss was asked for, and the samples have no masks.
+        """
         R, t = self.model(batch["image"], batch["K"])
         parts = {
             "translation": losses.translation_loss(t.float(), batch["t"], form=self.compat),
@@ -236,6 +247,8 @@ class PoseTask(lightning.LightningModule):
         pose = weight * parts["translation"] + (1 - weight) * parts["rotation"]
         if self.exo is None or share == 0:
             return {"loss": pose, **parts}
+        if batch["mask"].numel() == 0:
+            raise ValueError(f"silhouette: sample {batch['name'][0]!r} has no mask to compare with")
         parts["silhouette"] = self.exo(R, t, batch["K"], batch["mask"])
         return {"loss": losses.total_loss(pose, parts["silhouette"], lambda_exo=share), **parts}
 
