@@ -69,6 +69,17 @@ def test_metres_pixel_centres_and_masks(tmp_path):
     assert with_centres[0]["mask"].shape == (0, 0)
 
 
+def test_poses_need_no_images(tmp_path):
+    write(tmp_path / "test" / "000001")
+    data = BopDataset(tmp_path, "test", object_id=5)
+    known = [data.load(k) for k in range(len(data))]
+    for image in tmp_path.rglob("*.png"):
+        image.unlink()
+    for k, raw in enumerate(known):
+        R, t = data.pose(k)
+        assert (R.tolist(), t.tolist()) == (raw.R.tolist(), raw.t.tolist())
+
+
 def test_names_are_the_ids_of_the_evaluation(tmp_path):
     for number, seed in ((1, 0), (2, 100)):
         write(tmp_path / "val" / f"{number:06d}", objects=(5, 6), seed=seed)

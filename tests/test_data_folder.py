@@ -14,8 +14,9 @@ cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
 
 from torch.utils.data import default_collate  # noqa: E402
 
+from dronepose import evaluate  # noqa: E402
 from dronepose.data import DataError, FolderDataset, read_manifest, write_toyset  # noqa: E402
-from dronepose.data._poses import PoseRow, poses_text, read_poses  # noqa: E402
+from dronepose.data._poses import PoseRow, poses_csv, poses_text, read_poses  # noqa: E402
 
 HEADER = "id,qw,qx,qy,qz,tx,ty,tz"
 
@@ -102,6 +103,15 @@ def test_a_missing_image_names_the_sample(copy):
         data[1]
 
 
+def test_poses_need_no_images(copy):
+    data = FolderDataset(copy, "train")
+    known = [data.load(k) for k in range(len(data))]
+    shutil.rmtree(copy / "train/images")
+    for k, raw in enumerate(known):
+        R, t = data.pose(k)
+        assert (R.tolist(), t.tolist()) == (raw.R.tolist(), raw.t.tolist())
+
+
 @pytest.mark.parametrize("folder", ["images", "masks"])
 @pytest.mark.parametrize("how", ["cut", "flipped", "empty", "text"])
 def test_a_broken_png_names_the_sample(copy, folder, how):
@@ -177,6 +187,23 @@ def test_written_poses_are_read_back(tmp_path):
         np.testing.assert_allclose(back.t, row.t, atol=1e-10)
         assert back.name == row.name.strip()
         assert back.further == row.further
+
+
+def test_numbers_and_cells_are_written_as_asked_for(tmp_path):
+    names = ['a,"b"', "c\nd", "e\rf", "g"]
+    R, t = np.stack([np.eye(3)] * 4), np.full((4, 3), 1 / 3)
+    exact = tmp_path / "exact.csv"
+    exact.write_text(poses_csv(names, R, t, further={"image": names}), newline="")
+    found = read_poses(exact)
+    assert [row.name for row in found] == [row.further["image"] for row in found] == names
+    assert all(row.t.tolist() == t[0].tolist() for row in found)
+    assert evaluate(exact, exact).n_matched == 4
+    last = poses_csv(names, R, t, form=".9f", further={"x": ["1"] * 4}).splitlines()[-1]
+    assert last == "g,1.000000000,0.000000000,0.000000000,0.000000000" + 3 * ",0.333333333" + ",1"
+    assert poses_csv([], R[:0], t[:0]) == "id,qw,qx,qy,qz,tx,ty,tz\n"
+    for wrong in ({"names": names[:3]}, {"t": t[:3]}, {"further": {"x": ["1"]}}):
+        with pytest.raises(ValueError, match="zip"):
+            poses_csv(**{"names": names, "R": R, "t": t, **wrong})
 
 
 def test_a_set_that_is_not_whole_is_refused(copy):

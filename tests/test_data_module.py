@@ -14,6 +14,7 @@ from dronepose.data import FolderDataset, PoseDataModule, write_toyset  # noqa: 
 from dronepose.data.module import EpochSampler, one_thread  # noqa: E402
 
 FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
+CORES_WARNING = "ignore:This DataLoader will create:UserWarning"  # where there is one core
 AUGMENTED = {"rotation_deg": 20.0, "scale": (0.9, 1.2), "shift": 0.1, "photometric": 1.0}
 
 
@@ -41,6 +42,36 @@ def test_every_sample_comes_once_and_the_last_batch_is_kept(root):
     assert PoseDataModule(root, splits=("train", None, "test")).val_dataloader() == []
 
 
+def test_small_batches_are_left_out_of_training_on_request(root):
+    data = PoseDataModule(root, batch_size=4, drop_last=True)
+    loader = data.train_dataloader()
+    assert len(loader) == 2
+    assert [len(batch["name"]) for batch in loader] == [4, 4]
+    assert len(names(data.val_dataloader())) == 3
+    with pytest.raises(ValueError, match="batch_size: 11 is more than the 10 samples"):
+        PoseDataModule(root, batch_size=11, drop_last=True).train_dataloader()
+
+
+@pytest.mark.parametrize(("size", "batch"), [(10, 2), (11, 2), (13, 1), (7, 3)])
+def test_ranks_leave_out_what_one_process_leaves_out(size, batch):
+    def batches(rank, of, batch):
+        sampler = EpochSampler(size, shuffle=True, seed=1, rank=rank, world_size=of, drop_last=True)
+        taken = [number for _, number in sampler]
+        assert len(taken) == len(sampler)
+        whole = len(taken) // batch * batch
+        return np.reshape(taken[:whole], (-1, batch))
+
+    parts = np.stack([batches(rank, 2, batch) for rank in range(2)], axis=2)
+    assert parts.reshape(-1, 2 * batch).tolist() == batches(0, 1, 2 * batch).tolist()
+
+
+def test_the_training_set_is_opened_once(root):
+    data = PoseDataModule(root, batch_size=4)
+    first = data.training_set()
+    data.setup("fit")
+    assert data.training_set() is first is data.train_dataloader().dataset
+
+
 def test_order_and_augmentation_depend_on_seed_and_epoch_alone(root):
     def epoch(number, seed=0, workers=0):
         data = PoseDataModule(root, batch_size=4, seed=seed, workers=workers, **AUGMENTED)
@@ -60,7 +91,7 @@ def test_order_and_augmentation_depend_on_seed_and_epoch_alone(root):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.filterwarnings(FORK_WARNING, CORES_WARNING)
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_workers_give_what_one_process_gives(root, start):
     plain = PoseDataModule(root, batch_size=4, **AUGMENTED).train_dataloader()
@@ -77,7 +108,7 @@ def test_workers_give_what_one_process_gives(root, start):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.filterwarnings(FORK_WARNING, CORES_WARNING)
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 def test_workers_draw_with_the_threads_of_the_renderer(root, start):
     data = data_workers.Drawn(root, "train")
@@ -111,9 +142,10 @@ def test_an_error_in_a_worker_names_the_sample(root, tmp_path):
         list(data.train_dataloader())
 
 
-@pytest.mark.parametrize("size", [7, 8, 2])
-def test_ranks_share_the_order(size):
-    def taken(rank, of, shuffle):
+@pytest.mark.parametrize("shuffle", [True, False])
+@pytest.mark.parametrize("size", [7, 8, 2, 1])
+def test_ranks_share_the_order(size, shuffle):
+    def taken(rank, of):
         sampler = EpochSampler(size, shuffle=shuffle, seed=3, rank=rank, world_size=of)
         sampler.set_epoch(2)
         indices = list(sampler)
@@ -121,15 +153,13 @@ def test_ranks_share_the_order(size):
         assert all(epoch == 2 for epoch, _ in indices)
         return [number for _, number in indices]
 
-    whole = taken(0, 1, True)
-    assert sorted(whole) == list(range(size))
-    parts = [taken(rank, 3, True) for rank in range(3)]
+    whole = taken(0, 1)
+    assert (whole if not shuffle else sorted(whole)) == list(range(size))
+    parts = [taken(rank, 3) for rank in range(3)]
     assert len({len(part) for part in parts}) == 1  # each takes part in every step
     together = list(np.stack(parts, axis=1).reshape(-1))
     assert together[:size] == whole
     assert together[size:] == (whole * 3)[: len(together) - size]
-    scored = [number for rank in range(3) for number in taken(rank, 3, False)]
-    assert sorted(scored) == list(range(size))  # nothing twice
 
 
 def test_the_process_group_is_asked(root, monkeypatch):

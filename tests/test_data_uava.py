@@ -12,6 +12,7 @@ from dronepose import Camera, Mesh, render  # noqa: E402
 from dronepose.data import DataError, PoseDataModule, UavaDataset  # noqa: E402
 from dronepose.data.toyset import EXAMPLE_MESH  # noqa: E402
 from dronepose.geometry import matrix_from_quat_xyzw, quat_wxyz_from_matrix  # noqa: E402
+from dronepose.train.source import camera_of  # noqa: E402
 from support import SHARED  # noqa: E402
 
 DATE = "2019-12-24-13-30-23"
@@ -92,6 +93,18 @@ def test_poses_are_those_of_the_paper_in_opencv_axes(uava):
         assert (raw.image == 8 * row + frame).all()
 
 
+def test_poses_need_no_images(uava):
+    root, known = uava
+    data = UavaDataset(root, "train")
+    for image in root.glob("M2ED/exocentric/*/*/*"):
+        image.unlink()
+    with pytest.raises(FileNotFoundError, match="expected an image"):
+        data.load(0)
+    for k, name in enumerate(data.names):
+        for ours, expected in zip(data.pose(k), known[name], strict=True):
+            np.testing.assert_allclose(ours, expected, atol=1e-9)
+
+
 def test_the_mesh_lands_on_the_mask(uava):
     root, _ = uava
     data, mesh = UavaDataset(root, "test"), Mesh.from_file(EXAMPLE_MESH)
@@ -138,6 +151,16 @@ def test_through_the_data_module(uava):
     assert sorted(names) == sorted(name for name in known if name.endswith("_0"))
 
 
+@pytest.mark.parametrize("size", [{}, {"height": 30, "width": 50}])
+def test_training_knows_the_camera(uava, size):
+    root, _ = uava
+    data = PoseDataModule(str(root), kind="uava", **size)
+    sample = data.training_set()[0]
+    camera = camera_of(data)
+    assert (3, camera.height, camera.width) == sample["image"].shape
+    np.testing.assert_allclose(camera.K, sample["K"], rtol=1e-6)
+
+
 def test_errors_name_file_line_and_sample(uava):
     root, _ = uava
     file = root / "trajectories" / "bbb" / DATE / "airsim_rec_blender.txt"
@@ -164,6 +187,18 @@ def test_errors_name_file_line_and_sample(uava):
     refused(
         "\n".join([*lines[:2], "0\t1", *lines[3:]]), r":3: .*: column Position\(y\)_t1: found ''"
     )
+
+
+def test_files_that_are_no_text_are_named(uava):
+    root, _ = uava
+    scenes = root / "data splits" / "scenes_train.txt"
+    flight = next((root / "trajectories").rglob("*blender*"))
+    for file in (scenes, flight):
+        good = file.read_bytes()
+        file.write_bytes(b"\xff" + good)
+        with pytest.raises(DataError, match=rf"{file.name}: not UTF-8 at byte 0, expected the"):
+            UavaDataset(root, "train")
+        file.write_bytes(good)
 
 
 def test_missing_files_are_named(uava):

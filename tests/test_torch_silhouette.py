@@ -17,7 +17,6 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 from dronepose.torch import (  # noqa: E402
     SoftSilhouette,
-    _outlines,
     from_kaolin,
     from_pytorch3d,
     silhouette,
@@ -165,37 +164,6 @@ def test_opcheck_passes_with_batches_and_for_the_backward_operator():
     for wanted in (True, False):
         arguments = (weights(), *rest[:5], *rest[7:], wanted)
         torch.library.opcheck(_backward_op, arguments)
-
-
-def test_outlines_wait_for_backward_and_change_no_bit():
-    taken = []
-    plain = _outlines.take
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_outlines, "take", lambda key: taken.append(plain(key)) or taken[-1])
-        arguments = inputs()
-        mask = draw(*arguments, sigma=0.6)
-        loss = (mask * weights()).sum()
-        kept = torch.autograd.grad(loss, arguments, retain_graph=True)
-        again = torch.autograd.grad(loss, arguments)
-    assert taken[0].nbytes > 0
-    assert taken[1] is None  # taken before: made again
-    for a, b in zip(kept, again, strict=True):
-        torch.testing.assert_close(a, b, rtol=0, atol=0)
-    before = _outlines._kept
-    with torch.no_grad():
-        draw(*arguments, sigma=0.6)
-    assert _outlines._kept is before
-
-
-def test_outlines_of_forgotten_masks_do_not_pile_up():
-    v, R, t, K = inputs()
-    for k in range(20):
-        draw(v, R, t + 0.01 * k, K)
-    assert 0 < len(_outlines._kept) <= _outlines._ENTRIES
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_outlines, "_BYTES", 1)
-        draw(v, R, t, K)
-    assert len(_outlines._kept) == 1
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,11 +15,12 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 pytest.importorskip("lightning", reason="lightning is not installed")
 
 from dronepose import Mesh, cli, evaluate  # noqa: E402
-from dronepose.data import write_toyset  # noqa: E402
-from dronepose.train import reproduce  # noqa: E402
+from dronepose.data import PoseDataModule, write_toyset  # noqa: E402
+from dronepose.data._poses import poses_csv  # noqa: E402
+from dronepose.model import PoseNet, read_metadata, save_weights  # noqa: E402
+from dronepose.train import predict, reproduce  # noqa: E402
 from dronepose.train.callbacks import overlay  # noqa: E402
 from dronepose.train.cli import config_path, shipped_configs  # noqa: E402
-from dronepose.train.predict import poses_csv  # noqa: E402
 from dronepose.train.report import Judge, table_one  # noqa: E402
 from dronepose.train.task import Exo, PoseTask  # noqa: E402
 
@@ -98,6 +100,8 @@ def test_the_objective_is_the_formula_of_the_paper(data):
     expected = 0.75 * (0.7 * translation + 0.3 * rotation) + 0.25 * silhouette
     torch.testing.assert_close(found["loss"], expected, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(found["rotation"], rotation, rtol=1e-4, atol=1e-4)
+    with pytest.raises(ValueError, match="silhouette: sample 'a' has no mask"):
+        task.objective(batch | {"mask": torch.zeros(2, 0, 0)})
 
 
 def test_predictions_are_judged_as_the_command_does(data, tmp_path):
@@ -118,11 +122,44 @@ def test_predictions_are_judged_as_the_command_does(data, tmp_path):
     assert judge.finish() is None
 
 
-def test_ids_are_quoted_where_they_need_it(tmp_path):
-    names = ['a,"b"', "c"]
-    text = poses_csv(names, np.stack([np.eye(3)] * 2), np.array([[0, 0, 1.0], [0, 0, 2.0]]))
-    (tmp_path / "p.csv").write_text(text)
-    assert evaluate(tmp_path / "p.csv", tmp_path / "p.csv").n_matched == 2
+def test_images_are_brought_to_the_size_of_training(data, tmp_path):
+    weights, out = tmp_path / "w.safetensors", tmp_path / "p.csv"
+    torch.manual_seed(0)
+    model = PoseNet("resnet18", hidden=(16,))
+    save_weights(model, weights, {"image_size": (24, 32)})
+    call = ["predict", "--weights", weights, "--data", data, "--out", out]
+    assert cli.dronepose(list(map(str, call))) == 0
+    small = PoseDataModule(str(data), height=24, width=32).dataset("test")
+    assert out.read_text() == poses_csv(*predict.predict(weights, small))
+    plain = PoseDataModule(str(data)).dataset("test")
+    assert out.read_text() != poses_csv(*predict.predict(weights, plain))
+    assert predict.image_size(data / "mesh.obj") == (None, None)
+
+
+def test_a_pose_that_is_not_finite_is_refused_by_name(data, tmp_path):
+    weights = tmp_path / "w.safetensors"
+    model = PoseNet("resnet18", hidden=(16,))
+    with torch.no_grad():
+        model.translation.weight.mul_(1e38)
+        model.translation.bias.fill_(3e38)
+        model.embedding.bias.fill_(1e3)
+    save_weights(model, weights)
+    with pytest.raises(ValueError, match=r"w\.safetensors: .* sample 'test-000000' is not finite"):
+        predict.predict(weights, PoseDataModule(str(data)).dataset("test"))
+
+
+def test_true_poses_are_written_without_reading_images(data, tmp_path, monkeypatch):
+    copy = shutil.copytree(data, tmp_path / "data")
+    shutil.rmtree(copy / "test" / "images")
+    names, poses = ["test-000000"], (np.eye(3)[None], np.ones((1, 3)))
+    monkeypatch.setattr(predict, "predict", lambda *_, **__: (names, *poses))
+    weights, truth = tmp_path / "w.safetensors", tmp_path / "gt.csv"
+    weights.touch()
+    call = ["--weights", weights, "--data", copy, "--out", tmp_path / "p.csv", "--gt-out", truth]
+    assert cli.dronepose(["predict", *map(str, call)]) == 0
+    found = evaluate(truth, data / "test" / "poses.csv")
+    assert (found.n_gt, found.n_predictions, found.n_matched) == (12, 12, 12)
+    assert found.metrics.npe.mean < 1e-9
 
 
 def test_overlays_are_red_green_and_yellow():
@@ -187,11 +224,11 @@ def test_prediction_and_evaluation_follow_from_the_weights(trained, data, tmp_pa
     assert found["cpe"] == pytest.approx(
         table_one(evaluate(csv, data / "val" / "poses.csv", mesh=data / "mesh.obj"))["cpe"]
     )
-    from dronepose.model import read_metadata
-
     told = read_metadata(out / "best.safetensors")
     assert found["cpe"] == pytest.approx(told["metrics"]["cpe"], rel=1e-4)
     assert told["seed"] == 0
+    assert told["extra"]["compat"] == "paper"
+    assert told["extra"]["chosen_on"] == "val"
     assert len(told["mesh_sha256"]) == 64
 
 
@@ -213,24 +250,81 @@ def test_a_run_that_was_stopped_goes_on(data, tmp_path):
 
 
 @pytest.mark.slow
+def test_what_the_authors_code_does_with_data_is_done_on_request(data, tmp_path):
+    copy, out = shutil.copytree(data, tmp_path / "data"), tmp_path / "out"
+    shutil.rmtree(copy / "val")  # is never read
+    done = train(
+        copy, out, "--model.compat", "authors", "--trainer.max_epochs", 2, "--data.batch_size", 10,
+        "--trainer.log_every_n_steps", 1,
+    )  # fmt: skip
+    assert "chosen on the test split 'test'" in done.stderr
+    assert "smaller than 10 are left out" in done.stderr
+    assert len(losses_of(out)) == 2 * 4  # of 48 samples 8 are left out
+    told = read_metadata(out / "best.safetensors")
+    assert (
+        told["extra"] | {"compat": "authors", "chosen_on": "test", "drop_last": True}
+        == (told["extra"])
+    )
+    assert "drop_last: true" in told["config"]
+    csv = tmp_path / "p.csv"
+    dronepose("predict", "--weights", out / "best.safetensors", "--data", copy, "--out", csv)
+    truth = copy / "test" / "poses.csv"
+    expected = table_one(evaluate(csv, truth, mesh=copy / "mesh.obj", preset="authors"))
+    assert told["metrics"]["cpe"] == pytest.approx(expected["cpe"], rel=1e-4)
+    assert expected["cpe"] != pytest.approx(table_one(evaluate(csv, truth))["cpe"], rel=1e-4)
+    again = train(
+        copy, out, "--model.compat", "authors", "--data.batch_size", 50, "--resume", "true",
+        check=False,
+    )  # fmt: skip
+    assert again.returncode == 1
+    assert "batch_size: 50 is more than the 48 samples" in again.stderr
+
+
+def train_on_two(data, out, *more):
+    """Two processes, connected by gloo."""
+    call = [
+        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2",
+        "-m", "dronepose", "train", "--config", "smoke", "--data.root", data, "--out", out,
+        "--trainer.strategy", "ddp", "--trainer.devices", "2", "--trainer.accelerator", "cpu",
+        *more,
+    ]  # fmt: skip
+    done = subprocess.run(
+        list(map(str, call)),
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done
+
+
+@pytest.mark.slow
 def test_two_processes_learn_what_one_does(data, tmp_path):
     more = ("--trainer.max_epochs", 2, "--model.freeze_norm", "true", "--model.silhouette", "iou",
             "--trainer.log_every_n_steps", 1, "--model.lr", "1e-4",
             "--model.lambda_pose", 0.95)  # fmt: skip
     one, two = tmp_path / "one", tmp_path / "two"
     train(data, one, *more)
-    call = [
-        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2",
-        "-m", "dronepose", "train", "--config", "smoke", "--data.root", data, "--out", two,
-        "--trainer.strategy", "ddp",
-        "--trainer.devices", "2", "--trainer.accelerator", "cpu", "--data.batch_size", "6", *more,
-    ]  # fmt: skip
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(list(map(str, call)), capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr[-3000:]
+    train_on_two(data, two, "--data.batch_size", 6, *more)
     a, b = losses_of(one), losses_of(two)
     assert len(a) == len(b) == 8
     np.testing.assert_allclose(a, b, rtol=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 5])
+def test_two_processes_score_each_sample_once(count, tmp_path):
+    data, out, csv = tmp_path / "data", tmp_path / "out", tmp_path / "p.csv"
+    write_toyset(data, height=48, width=64, counts={"train": 8, "val": count}, seed=3)
+    done = train_on_two(
+        data, out, "--data.batch_size", 2, "--trainer.max_epochs", 1, "--model.silhouette", "none"
+    )
+    assert "sync_dist" not in done.stderr
+    weights = out / "best.safetensors"
+    dronepose("predict", "--weights", weights, "--data", data, "--split", "val", "--out", csv)
+    expected = table_one(evaluate(csv, data / "val" / "poses.csv", mesh=data / "mesh.obj"))
+    assert read_metadata(weights)["metrics"] == pytest.approx(expected, rel=1e-4)
 
 
 def test_errors_of_the_commands_name_what_is_missing(tmp_path, capsys):

@@ -7,10 +7,12 @@ from numpy import float32, float64, int32, uint8, uint32
 from numpy.typing import NDArray
 
 __all__ = [
+    "Environment",
     "Mesh",
     "MeshError",
     "Model",
     "Symmetries",
+    "Texture",
     "Traces",
     "__version__",
     "add",
@@ -18,6 +20,7 @@ __all__ = [
     "adds",
     "cli_dronepose",
     "cli_run",
+    "colours",
     "evaluate",
     "flow",
     "gbuffer",
@@ -35,6 +38,7 @@ __all__ = [
     "signed_distance",
     "silhouette",
     "silhouette_gradients",
+    "srgb_bytes",
     "symmetric_orientation_error",
     "translation_error",
 ]
@@ -254,6 +258,49 @@ def gbuffer(
     threads: int,
 ) -> None:
     """Write the planes by name, ``(B, H, W, ...)``."""
+
+@final
+class Texture:
+    """A pyramid of images of sRGB colours, which repeats."""
+
+    def __new__(cls, rgb: NDArray[uint8]) -> Texture: ...
+    @property
+    def size(self) -> tuple[int, int]: ...
+    @property
+    def mean(self) -> list[float]: ...
+
+@final
+class Environment:
+    """An environment map, prepared for lighting."""
+
+    def __new__(cls, rgb: NDArray[float32], threads: int) -> Environment: ...
+    @property
+    def mean(self) -> list[float]: ...
+    def scattered(self, normal: list[float]) -> list[float]: ...
+    def mirrored(self, direction: list[float], roughness: float) -> list[float]: ...
+
+_Material = tuple[Texture | None, list[float], tuple[float, float] | None]
+
+def colours(
+    meshes: list[Mesh],
+    camera: _Camera,
+    R: NDArray[float64],
+    t: NDArray[float64],
+    uv: list[NDArray[float64] | None],
+    materials: list[list[_Material]],
+    of_faces: list[NDArray[uint32] | None],
+    lights: list[tuple[Environment, float, list[float]]],
+    smooth: bool,
+    samples: int,
+    near: float | None,
+    threads: int,
+    out: NDArray[float32],
+    shares: NDArray[float32],
+) -> None:
+    """Write ``(B, H, W, 4)``: linear RGB times coverage, and coverage; and shares of the meshes."""
+
+def srgb_bytes(linear: NDArray[float32]) -> NDArray[uint8]:
+    """Bytes of linear values in sRGB, flat."""
 
 def flow(
     meshes: list[Mesh],

@@ -32,6 +32,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dronepose import _native
+from dronepose._appearance import (
+    Colours,
+    Environment,
+    Light,
+    Material,
+    Texture,
+    colour,
+    srgb_bytes,
+)
 from dronepose._arrays import floats
 from dronepose._buffers import BUFFERS
 from dronepose._gbuffer import Flow, GBuffer, flow, gbuffer
@@ -54,9 +63,15 @@ if TYPE_CHECKING:
     Mask = NDArray[np.float32] | NDArray[np.float64]
 
 __all__ = [
+    "Colours",
+    "Environment",
     "Flow",
     "GBuffer",
+    "Light",
+    "Material",
     "SilhouetteGradients",
+    "Texture",
+    "colour",
     "flow",
     "from_kaolin",
     "from_pytorch3d",
@@ -64,6 +79,7 @@ __all__ = [
     "silhouette",
     "silhouette_gradients",
     "silhouette_vjp",
+    "srgb_bytes",
     "tangent",
 ]
 

@@ -29,6 +29,7 @@ mod python;
 pub mod raster;
 pub mod report;
 pub mod rotation;
+pub mod shade;
 pub mod threads;
 
 pub use error::{Error, Place, Result};

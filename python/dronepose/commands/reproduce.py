@@ -66,9 +66,9 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _mini(options: argparse.Namespace) -> int:
+    from dronepose._files import write_text
     from dronepose.data import ToySettings, write_toyset
     from dronepose.train.cli import quiet
-    from dronepose.train.predict import write_text
     from dronepose.train.reproduce import VARIANTS, Plan, run_one, table
 
     quiet()

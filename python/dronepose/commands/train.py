@@ -22,8 +22,9 @@ Example:
   dronepose predict --weights runs/smoke/best.safetensors --data data --out predictions.csv
   dronepose-eval predictions.csv data/test/poses.csv --mesh data/mesh.obj
 
-In OUT: best.safetensors (of the epoch with the least CPE on the validation split), checkpoints/,
-tensorboard/ (with config.yaml), csv/. On several processes:
+In OUT: best.safetensors (of the epoch with the least CPE on the validation split; with
+--model.compat authors on the test split, as their script does), checkpoints/, tensorboard/ (with
+config.yaml), csv/. On several processes:
   torchrun --nproc-per-node 2 -m dronepose train ... --trainer.strategy ddp --trainer.devices 2
 
 Options, with --help-all: every option of the model, the data and the trainer.

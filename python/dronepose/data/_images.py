@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import zlib
 from typing import TYPE_CHECKING, cast
 
 import cv2
 import numpy as np
 
+from dronepose._files import write_bytes
 from dronepose.data._errors import DataError, missing
 
 if TYPE_CHECKING:
@@ -64,20 +64,6 @@ def write_png(path: Path, image: Bytes) -> None:
     if not done:
         raise OSError(f"{path}: cannot be encoded as PNG")
     write_bytes(path, content.tobytes())
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write beside ``path``, then rename: whole or not at all.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        beside.write_bytes(content)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _content(path: Path, of: str, what: str) -> Bytes:

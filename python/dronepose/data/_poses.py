@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dronepose import geometry
-from dronepose.data._errors import DataError, missing
+from dronepose.data._errors import DataError, read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -108,12 +108,7 @@ def read_poses(path: Path) -> list[PoseRow]:
         FileNotFoundError: There is no such file.
         DataError: A column is missing, an id occurs twice, or a value or pose is wrong.
     """
-    if not path.is_file():
-        missing(path, "a CSV file of poses")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not UTF-8 at byte {error.start}") from None
+    text = read_text(path, "a CSV file of poses")
     reader = csv.reader(io.StringIO(text, newline=""))
     header = [name.strip() for name in next(reader, [])]
     forms = (_QUATERNION, _MATRIX, _VECTOR)
@@ -162,16 +157,60 @@ def _row(row: dict[str, str], form: tuple[str, ...], file: str, name: str, line:
     return PoseRow(name, line, check_pose(R, t, place), t, further)
 
 
+def poses_csv(
+    names: Sequence[str],
+    R: Array,
+    t: Array,
+    *,
+    form: str = "",
+    further: Mapping[str, Sequence[str]] | None = None,
+) -> str:
+    """Poses as CSV with quaternions, as :func:`read_poses` and ``dronepose-eval`` read them.
+
+    Args:
+        names: ``N`` ids, for the column ``id``.
+        R: ``(N, 3, 3)``, rotations of ``cam_from_model``.
+        t: ``(N, 3)``, translations of ``cam_from_model``, metres.
+        form: How a number is written, as :func:`format` takes it, such as ``".9f"``; by default
+            the shortest text that is read as the same number.
+        further: More columns, ``N`` texts each by their name.
+
+    Returns:
+        The text: ``id,qw,qx,qy,qz,tx,ty,tz`` and the further columns; cells are quoted where they
+        need it (RFC 4180), lines end with a line feed.
+
+    Raises:
+        ValueError: The lengths differ, ``R`` holds no rotations, or ``form`` is none.
+
+    Example:
+        >>> poses_csv(["a"], np.eye(3)[None], np.array([[0.5, 0, 2]]), form=".3g").splitlines()[1]
+        'a,1,0,0,0,0.5,0,2'
+    """
+    columns = further or {}
+    lines = [["id", *_QUATERNION, *_TRANSLATION, *columns]]
+    quaternions = geometry.quat_wxyz_from_matrix(R)
+    for name, q, p, *more in zip(names, quaternions, t, *columns.values(), strict=True):
+        lines.append([name, *(format(float(value), form) for value in (*q, *p)), *more])
+    return "".join(",".join(map(_cell, line)) + "\n" for line in lines)
+
+
+def _cell(text: str) -> str:
+    """A cell of a CSV file: in quotes if it would not be read as one cell without them."""
+    if set(text) & set(',"\r\n'):
+        doubled = text.replace('"', '""')
+        return f'"{doubled}"'
+    return text
+
+
 def poses_text(rows: Iterable[PoseRow]) -> str:
-    """Rows as CSV with quaternions, as :func:`read_poses` and ``dronepose-eval`` read them."""
+    """Rows as CSV by :func:`poses_csv`, with 12 digits and the further columns of the first."""
     rows = list(rows)
-    further = list(rows[0].further) if rows else []
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["id", *_QUATERNION, *_TRANSLATION, *further])
-    if rows:
-        quaternions = geometry.quat_wxyz_from_matrix(np.stack([row.R for row in rows]))
-        for row, q in zip(rows, quaternions, strict=True):
-            numbers = [f"{value:.12g}" for value in (*q, *row.t)]
-            writer.writerow([row.name, *numbers, *(row.further[name] for name in further)])
-    return out.getvalue()
+    return poses_csv(
+        [row.name for row in rows],
+        np.array([row.R for row in rows]).reshape(-1, 3, 3),
+        np.array([row.t for row in rows]).reshape(-1, 3),
+        form=".12g",
+        further={name: [row.further[name] for row in rows] for name in rows[0].further}
+        if rows
+        else None,
+    )

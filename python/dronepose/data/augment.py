@@ -156,17 +156,19 @@ def rotated(raw: Raw, angle: float, *, pixels: bool = True) -> Raw:
         >>> rotated(raw, np.pi / 2).t.round(9).tolist()
         [0.0, 1.0, 1.0]
     """
-    c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = _about_z(angle)
     if pixels:
         raw = _warped(raw, _turn_of_image(raw.K, angle), cv2.BORDER_CONSTANT)
     return replace(raw, R=turn @ raw.R, t=turn @ raw.t)
 
 
-def _turn_of_image(K: Array, angle: float) -> Array:
+def _about_z(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    A: Array = K @ turn @ np.linalg.inv(K)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _turn_of_image(K: Array, angle: float) -> Array:
+    A: Array = K @ _about_z(angle) @ np.linalg.inv(K)
     return A
 
 
@@ -240,9 +242,8 @@ class PhotometricAugmentation:
         """
         if generator.random() >= self.probability:
             return image
-        from torchvision.transforms.v2 import (
-            functional,
-        )  # a second: not where it is not used
+        # Takes a second: not where it is not used.
+        from torchvision.transforms.v2 import functional
 
         factors = {
             name: 1 + generator.uniform(-1, 1) * getattr(self, name)

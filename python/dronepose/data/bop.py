@@ -101,6 +101,7 @@ class BopDataset(PoseDataset):
         self.folder = Path(root) / split
         self.object_id, self.instance, self.mask = object_id, instance, mask
         self.pixel_centre = pixel_centre
+        self._assumed = object_id is None  # the first object is taken, and has to be the only one
         scenes = _scenes(self.folder)
         self._items = [
             item for scene in scenes for item in self._scene(scene, several=len(scenes) > 1)
@@ -139,9 +140,8 @@ class BopDataset(PoseDataset):
             raise DataError(f"{place}: an instance without a whole number obj_id")
         if self.object_id is None:
             self.object_id = one["obj_id"]
-            self._assumed = True
         same: bool = one["obj_id"] == self.object_id
-        if not same and getattr(self, "_assumed", False):
+        if not same and self._assumed:
             raise ValueError(
                 f"object_id: {place} holds objects {self.object_id} and {one['obj_id']}; choose one"
             )
@@ -159,6 +159,24 @@ class BopDataset(PoseDataset):
         K = _floats(cameras[number], "cam_K", 9, of_camera).reshape(3, 3).copy()
         K[:2, 2] += self.pixel_centre
         return _Item(name, scene, number, k, check_pose(R, t, place), t, K, place)
+
+    def pose(self, index: int) -> tuple[Array, Array]:
+        """The pose in a sample; no image is read.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, float64, metres.
+
+        Raises:
+            IndexError: There is no such sample.
+
+        Example:
+            >>> R, t = BopDataset("lmo", "test", object_id=5).pose(0)  # doctest: +SKIP
+        """
+        item = self._items[index]
+        return item.R, item.t
 
     def load(self, index: int) -> Raw:
         """The sample as it is on the disk.

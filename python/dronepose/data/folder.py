@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,15 +13,19 @@ from dronepose.data._manifest import FORMAT, SPLITS
 from dronepose.data._poses import number, read_poses
 from dronepose.data.sample import PoseDataset, Raw, check_sizes
 from dronepose.mesh import Mesh
+from dronepose.model.metadata import file_sha256
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable
 
     import numpy as np
+    from numpy.typing import NDArray
     from torch import Tensor
 
     from dronepose.data._poses import PoseRow
+
+    Array = NDArray[np.float64]
 
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 
@@ -172,10 +175,28 @@ class FolderDataset(PoseDataset):
         if not path.is_file():
             missing(path, "the mesh of the data set")
         stated = self.manifest.get("mesh", {}).get("sha256")
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
+        found = file_sha256(path)
         if stated is not None and stated != found:
             raise DataError(f"{path}: SHA-256 is {found}, dataset.json says {stated}")
         return Mesh.from_file(path)
+
+    def pose(self, index: int) -> tuple[Array, Array]:
+        """The pose in a sample; no image is read.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, float64, metres.
+
+        Raises:
+            IndexError: There is no such sample.
+
+        Example:
+            >>> R, t = FolderDataset("toy", "train").pose(0)  # doctest: +SKIP
+        """
+        row = self.rows[index]
+        return row.R, row.t
 
     def load(self, index: int) -> Raw:
         """The sample as it is on the disk.
@@ -206,7 +227,7 @@ class FolderDataset(PoseDataset):
         K = self._matrix(row, place, (image.shape[0], image.shape[1]))
         return Raw(image, mask, K, row.R, row.t, row.name)
 
-    def _matrix(self, row: PoseRow, place: str, size: tuple[int, int]) -> np.ndarray[Any, Any]:
+    def _matrix(self, row: PoseRow, place: str, size: tuple[int, int]) -> Array:
         height, width = size
         own = [row.further.get(name) for name in _INTRINSICS]
         if all(own):

@@ -22,9 +22,10 @@ class EpochSampler(DistributedSampler[Any]):
 
     Rank ``r`` of ``n`` takes every n-th index of that order from the r-th on, so that ``n``
     processes with a batch of ``b`` each see, step by step, what one process with a batch of
-    ``n b`` sees. When shuffled, the order is lengthened by its own beginning until it can be
-    divided by ``n``, as each rank has to take part in every step; when not, it is not, so that
-    nothing is scored twice.
+    ``n b`` sees. As each rank has to take part in every step, of training and of validation, the
+    order is lengthened by its own beginning until it can be divided by ``n``, or cut with
+    ``drop_last``. Whoever scores what several ranks predict tells samples that came twice by their
+    names, as :class:`dronepose.train.report.Judge` does.
 
     Being a ``DistributedSampler``, it is left alone by Lightning, which calls :meth:`set_epoch`.
 
@@ -34,6 +35,7 @@ class EpochSampler(DistributedSampler[Any]):
         seed: Of the order.
         rank: This process; ``None`` asks ``torch.distributed`` and is 0 without it.
         world_size: Number of processes; ``None`` alike, and 1.
+        drop_last: Whether the order is cut to a multiple of the processes, not lengthened.
 
     Example:
         >>> list(EpochSampler(3, shuffle=False, seed=0))
@@ -48,6 +50,7 @@ class EpochSampler(DistributedSampler[Any]):
         seed: int,
         rank: int | None = None,
         world_size: int | None = None,
+        drop_last: bool = False,
     ) -> None:
         grouped = torch.distributed.is_available() and torch.distributed.is_initialized()
         if world_size is None:
@@ -60,6 +63,7 @@ class EpochSampler(DistributedSampler[Any]):
             rank=rank,
             shuffle=shuffle,
             seed=seed,
+            drop_last=drop_last,
         )
         self.size = size
 
@@ -68,22 +72,25 @@ class EpochSampler(DistributedSampler[Any]):
         if self.shuffle:
             generator = torch.Generator().manual_seed((self.seed << 20) + self.epoch)
             order = torch.randperm(self.size, generator=generator).tolist()
-            while order and len(order) % self.num_replicas:
-                order += order[: self.num_replicas - len(order) % self.num_replicas]
+        if self.drop_last:
+            del order[self.size - self.size % self.num_replicas :]
+        while order and len(order) % self.num_replicas:
+            order += order[: self.num_replicas - len(order) % self.num_replicas]
         return order[self.rank :: self.num_replicas]
 
     def __iter__(self) -> Iterator[Any]:
         return iter([(self.epoch, number) for number in self._own()])
 
     def __len__(self) -> int:
-        return len(self._own()) if not self.shuffle else -(-self.size // self.num_replicas)
+        spare = 0 if self.drop_last else self.num_replicas - 1
+        return (self.size + spare) // self.num_replicas
 
 
 class PoseDataModule(LightningDataModule):
     """Training, validation and test data for a Lightning ``Trainer``.
 
     The training split is augmented and shuffled, both from ``seed`` and the epoch alone: any number
-    of workers gives the same batches. The last batch is kept, however small.
+    of workers gives the same batches. The last batch is kept, however small, unless ``drop_last``.
 
     Args:
         kind: ``"folder"`` (:class:`FolderDataset`), ``"uava"`` (:class:`UavaDataset`) or ``"bop"``
@@ -101,6 +108,7 @@ class PoseDataModule(LightningDataModule):
         erase: As in :class:`PhotometricAugmentation`.
         splits: Names of the splits for training, validation and test; the validation split may be
             ``None``, if there is none.
+        drop_last: Whether training leaves out a last batch smaller than ``batch_size``.
         start: How workers start: ``"fork"``, ``"spawn"`` or ``"forkserver"``; ``None`` is the
             system's. All work with the threads of the renderer.
         options: Further arguments of the data set, such as ``object_id`` of :class:`BopDataset`.
@@ -130,6 +138,7 @@ class PoseDataModule(LightningDataModule):
         photometric: float = 0.0,
         erase: float = 0.0,
         splits: tuple[str, str | None, str] = ("train", "val", "test"),
+        drop_last: bool = False,
         start: Literal["fork", "spawn", "forkserver"] | None = None,
         options: dict[str, Any] | None = None,
     ) -> None:
@@ -152,7 +161,7 @@ class PoseDataModule(LightningDataModule):
         self.root, self.kind = root, kind
         self.batch_size, self.workers, self.seed, self.start = batch_size, workers, seed, start
         self.height, self.width = height, width
-        self.splits, self.options = splits, dict(options or {})
+        self.splits, self.drop_last, self.options = splits, drop_last, dict(options or {})
         self.geometric: GeometricAugmentation | None = None
         if rotation_deg or shift or tuple(scale) != (1.0, 1.0):
             self.geometric = GeometricAugmentation(
@@ -219,26 +228,47 @@ class PoseDataModule(LightningDataModule):
         Example:
             >>> PoseDataModule("toy").setup("fit")  # doctest: +SKIP
         """
-        train, val, test = self.splits
+        _, val, test = self.splits
         if stage in ("fit", None):
-            self._open("train", train, augmented=True)
+            self.training_set()
         if stage in ("fit", "validate", None) and val is not None:
             self._open("val", val)
         if stage in ("test", "predict", None):
             self._open("test", test)
 
-    def _open(self, role: str, split: str, *, augmented: bool = False) -> None:
+    def training_set(self) -> PoseDataset:
+        """The training split with its augmentation, opened at the first call.
+
+        Returns:
+            The data set.
+
+        Raises:
+            FileNotFoundError: A file is missing.
+            DataError: A file is wrong.
+            ValueError: It holds no samples.
+
+        Example:
+            >>> PoseDataModule("toy").training_set().names[0]  # doctest: +SKIP
+            'train-000000'
+        """
+        return self._open("train", self.splits[0], augmented=True)
+
+    def _open(self, role: str, split: str, *, augmented: bool = False) -> PoseDataset:
         if role not in self._sets:
             found = self.dataset(split, augmented=augmented)
             if len(found) == 0:
                 raise ValueError(f"splits: {split!r} of {self.root} holds no samples")
             self._sets[role] = found
+        return self._sets[role]
 
     def train_dataloader(self) -> DataLoader[Sample]:
         """Batches of the training split, shuffled and augmented.
 
         Returns:
             The loader; a new one starts at epoch 0, or at the trainer's.
+
+        Raises:
+            ValueError: There is no whole batch, and ``drop_last`` leaves out smaller ones.
 
         Example:
             >>> PoseDataModule("toy").train_dataloader()  # doctest: +SKIP
@@ -283,7 +313,13 @@ class PoseDataModule(LightningDataModule):
             stage = {"train": "fit", "val": "validate", "test": "test"}[role]
             self.setup(stage)
         data = self._sets[role]
-        sampler = EpochSampler(len(data), shuffle=shuffle, seed=self.seed)
+        drop_last = self.drop_last and role == "train"
+        sampler = EpochSampler(len(data), shuffle=shuffle, seed=self.seed, drop_last=drop_last)
+        if drop_last and len(sampler) < self.batch_size:
+            raise ValueError(
+                f"batch_size: {self.batch_size} is more than the {len(sampler)} samples that a "
+                f"process has of split {self.splits[0]!r}, and drop_last leaves out smaller batches"
+            )
         if self.trainer is not None:
             sampler.set_epoch(self.trainer.current_epoch)
         return DataLoader(
@@ -295,7 +331,7 @@ class PoseDataModule(LightningDataModule):
             multiprocessing_context=self.start if self.workers else None,
             persistent_workers=self.workers > 0 and self.start != "fork",
             pin_memory=torch.cuda.is_available(),
-            drop_last=False,
+            drop_last=drop_last,
         )
 
 

@@ -150,7 +150,7 @@ def to_sample(raw: Raw) -> Sample:
 
 
 class PoseDataset(Dataset[Sample], ABC):
-    """Base of the data sets: a list of names, and :meth:`load` for each.
+    """Base of the data sets: a list of names, and :meth:`pose` and :meth:`load` for each.
 
     An index is a number, or ``(epoch, number)``, which also seeds the augmentation: the same
     seed, epoch and index give the same sample, in any worker and any order.
@@ -192,6 +192,23 @@ class PoseDataset(Dataset[Sample], ABC):
         self.height, self.width = height, width
         self.geometric, self.photometric = geometric, photometric
         self.seed = seed
+
+    @abstractmethod
+    def pose(self, index: int) -> tuple[Array, Array]:
+        """The pose in a sample; no image is read.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, float64, metres.
+
+        Raises:
+            IndexError: There is no such sample.
+
+        Example:
+            >>> R, t = FolderDataset("toy", "train").pose(0)  # doctest: +SKIP
+        """
 
     @abstractmethod
     def load(self, index: int) -> Raw:

@@ -25,9 +25,10 @@ import cv2
 import numpy as np
 
 from dronepose import _native
+from dronepose._files import write_bytes
 from dronepose.camera import Camera
 from dronepose.data._errors import DataError
-from dronepose.data._images import write_bytes, write_png
+from dronepose.data._images import write_png
 from dronepose.data._manifest import CONVENTIONS, FORMAT, SPLITS
 from dronepose.data._poses import PoseRow, poses_text
 from dronepose.data._shading import Light, Model, drawn, painted

@@ -12,7 +12,7 @@ import numpy as np
 
 from dronepose import geometry
 from dronepose.camera import Camera
-from dronepose.data._errors import DataError, missing
+from dronepose.data._errors import DataError, missing, read_text
 from dronepose.data._images import read_mask, read_rgb
 from dronepose.data._poses import TOLERANCE, check_pose, number
 from dronepose.data.sample import PoseDataset, Raw, check_sizes
@@ -191,6 +191,23 @@ class UavaDataset(PoseDataset):
             )
         return _Flight(files[0])
 
+    def pose(self, index: int) -> tuple[Array, Array]:
+        """The pose in a sample; no image is read.
+
+        Args:
+            index: 0 to ``len(self) - 1``.
+
+        Returns:
+            ``R`` ``(3, 3)`` and ``t`` ``(3,)`` of ``cam_from_model``, float64, metres.
+
+        Raises:
+            IndexError: There is no such sample.
+
+        Example:
+            >>> R, t = UavaDataset("UAVA", "val").pose(0)  # doctest: +SKIP
+        """
+        return self._R[index], self._t[index]
+
     def load(self, index: int) -> Raw:
         """The sample as it is on the disk.
 
@@ -213,9 +230,21 @@ class UavaDataset(PoseDataset):
         image = read_rgb(file, whose)
         mask = read_mask(Path(self._masks[index]), whose) if self._masks else None
         check_sizes(image, mask, f"{file}: {whose}")
-        rows, columns = image.shape[:2]
-        camera = Camera.from_fov(columns, rows, horizontal_deg=self.horizontal_deg)
-        return Raw(image, mask, camera.K, self._R[index], self._t[index], name)
+        K = self._camera(image.shape[0], image.shape[1]).K
+        return Raw(image, mask, K, self._R[index], self._t[index], name)
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the images, at the size of the first, which is read for it.
+
+        Example:
+            >>> UavaDataset("UAVA", "val").camera.cx  # doctest: +SKIP
+            160.0
+        """
+        return self._camera(*self.load(0).size)
+
+    def _camera(self, height: int, width: int) -> Camera:
+        return Camera.from_fov(width, height, horizontal_deg=self.horizontal_deg)
 
     def pairs(self) -> list[tuple[int, int]]:
         """Indices of the two time steps of each row of which both are here.
@@ -247,16 +276,15 @@ def buildings(path: Path) -> list[tuple[str, str]]:
 
     Raises:
         FileNotFoundError: There is no such file.
-        DataError: A name occurs twice, or there is none.
+        DataError: A name occurs twice, there is none, or the file is not UTF-8.
 
     Example:
         >>> buildings(Path("data splits/scenes_val.txt"))[0]  # doctest: +SKIP
         ('2azQ1b91cZZ', 'data splits/scenes_val.txt:1')
     """
-    if not path.is_file():
-        missing(path, "the list of the buildings of a split")
+    content = read_text(path, "the list of the buildings of a split")
     found: dict[str, str] = {}
-    for line, text in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+    for line, text in enumerate(content.splitlines(), 1):
         name = text.strip()
         if name in found:
             raise DataError(f"{path}:{line}: {name} again, first in {found[name]}")
@@ -297,7 +325,7 @@ class _Flight:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "the file of a flight")
         reader = csv.DictReader(io.StringIO(text, newline=""), delimiter="\t")
         absent = [name for name in self.columns() if name not in (reader.fieldnames or [])]
         if absent:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
-import cv2
 import numpy as np
 
-from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose._files import write_text
+from dronepose.data._images import write_png
+from dronepose.data._poses import poses_csv
 from dronepose.infer.filters import OneEuro, Track, jitter, rts
 from dronepose.infer.frames import Fit
 from dronepose.infer.overlay import Style, draw
 from dronepose.infer.video import video_writer
-from dronepose.model.files import beside
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -213,7 +212,7 @@ def _finished(
     if options.filter != "none":
         named.append((out / f"poses_raw{ending}.csv", raw))
     for path, poses in named:
-        _write_csv(path, ids, poses, rate)
+        write_text(path, _csv(ids, poses, rate))
         files.append(str(path))
     notes = sorted({fit.note for fit in lane.fits.values() if fit.note})
     summary: dict[str, Any] = {
@@ -229,8 +228,7 @@ def _finished(
 
 
 def _chunks(source: Source, options: Options) -> Iterator[list[Frame]]:
-    frames: Iterable[Frame] = islice(source.frames(), options.limit)
-    frames = iter(frames)
+    frames = islice(source.frames(), options.limit)
     size = 1 if source.live else options.batch
     while chunk := list(islice(frames, size)):
         yield chunk
@@ -250,10 +248,7 @@ def _output(
     files.append(str(folder))
 
     def save(frame: Frame, image: Bytes) -> None:
-        path = folder / f"{frame.id}.png"
-        with beside(path) as part:
-            if not cv2.imwrite(str(part), image[:, :, ::-1]):
-                raise OSError(f"cannot write {path}")
+        write_png(folder / f"{frame.id}.png", image)
 
     return save
 
@@ -271,17 +266,11 @@ def _drawn(frame: Frame, lanes: list[_Lane], index: int, options: Options) -> By
     return np.concatenate(halves, axis=1)
 
 
-def _write_csv(path: Path, ids: list[str], poses: list[Pose], rate: float | None) -> None:
+def _csv(ids: list[str], poses: list[Pose], rate: float | None) -> str:
     """The format of predictions, docs/formats.md; with the time in seconds for videos."""
     R, t = _track(poses)
-    quaternions = quat_wxyz_from_matrix(_orthonormal(R))
-    header = ["id", "qw", "qx", "qy", "qz", "tx", "ty", "tz", *(["time_s"] if rate else [])]
-    with beside(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for k, (name, q, p) in enumerate(zip(ids, quaternions, t, strict=True)):
-            times = [f"{k / rate:.6f}"] if rate else []
-            writer.writerow([name, *(f"{v:.9f}" for v in q), *(f"{v:.9f}" for v in p), *times])
+    times = {"time_s": [f"{k / rate:.6f}" for k in range(len(ids))]} if rate else None
+    return poses_csv(ids, _orthonormal(R), t, form=".9f", further=times)
 
 
 def _orthonormal(R: Array) -> Array:

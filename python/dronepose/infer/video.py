@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from dronepose.model.files import beside
+from dronepose._files import beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -13,7 +13,7 @@ import onnxscript  # noqa: F401 - the exporter's, asked for before the work begi
 import torch
 from torch import nn
 
-from dronepose.model.files import beside
+from dronepose._files import beside
 from dronepose.model.metadata import WeightsError, encode
 from dronepose.model.network import PoseNet
 from dronepose.model.weights import full_metadata

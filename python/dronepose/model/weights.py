@@ -10,8 +10,8 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
+from dronepose._files import beside
 from dronepose.model.checkpoints import own_state
-from dronepose.model.files import beside
 from dronepose.model.metadata import WeightsError, decode, encode
 from dronepose.model.network import PoseNet
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from lightning import LightningModule, Trainer
     from torch import Tensor
 
+    from dronepose.data import PoseDataModule
+
 
 class RendererShare(Callback):
     """Times steps and the silhouette objective in them, and says what share that has.
@@ -135,6 +137,7 @@ class BestWeights(Callback):
     Args:
         folder: Where.
         config: The configuration of the run, as text, for the metadata.
+        seed: That of the run, for the metadata.
     """
 
     def __init__(self, folder: str | Path, config: str = "", seed: int | None = None) -> None:
@@ -162,22 +165,24 @@ class BestWeights(Callback):
         save_weights(pl_module.model, self.folder / "best.safetensors", metadata)
 
 
-def run_metadata(
-    trainer: Trainer, task: LightningModule, config: str, seed: int | None
-) -> dict[str, Any]:
+def run_metadata(trainer: Trainer, task: PoseTask, config: str, seed: int | None) -> dict[str, Any]:
     """What a file with weights says about where they come from."""
-    data = trainer.datamodule  # type: ignore[attr-defined]
-    mesh = mesh_file(getattr(task, "_mesh", None), data)
+    data: PoseDataModule = trainer.datamodule  # type: ignore[attr-defined]
+    mesh = mesh_file(task.mesh, data)
     return {
         "torch_version": str(torch.__version__),
         "seed": seed,
-        "metrics": getattr(task, "epoch_report", {}),
+        "metrics": task.epoch_report,
         "mesh_sha256": None if mesh is None else file_sha256(mesh),
         "intrinsics": camera_of(data),
+        "image_size": None if data.height is None else (data.height, data.width),
         "config": config,
         "extra": {
             "epoch": trainer.current_epoch,
             "step": trainer.global_step,
+            "compat": task.compat,
+            "chosen_on": data.splits[1],
+            "drop_last": data.drop_last,
             "lightning_version": lightning.__version__,
         },
     }

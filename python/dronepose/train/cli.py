@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.cli import LightningCLI
 from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger
+from lightning.pytorch.utilities import rank_zero_only
 
 from dronepose.data import PoseDataModule
 from dronepose.train.callbacks import BestWeights, Overlays, RendererShare
@@ -20,11 +21,13 @@ from dronepose.train.task import PoseTask
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from jsonargparse import Namespace
     from lightning import Trainer
     from lightning.pytorch.cli import LightningArgumentParser
 
 MONITOR = "val/cpe"
-"""What the best checkpoint is chosen by: the combined pose error on the validation split."""
+"""What the best checkpoint is chosen by: the combined pose error on the validation split, and with
+``--model.compat authors`` on what takes its place."""
 
 
 class Cli(LightningCLI):
@@ -56,6 +59,8 @@ class Cli(LightningCLI):
     def before_instantiate_classes(self) -> None:
         """Loggers, checkpoints and pictures go to the folder of the run."""
         config = self.config[self.subcommand] if self.subcommand else self.config
+        if config.model.compat == "authors":
+            as_authors(config.data)
         out = Path(config.out)
         saver = ModelCheckpoint(
             dirpath=out / "checkpoints",
@@ -106,6 +111,26 @@ class Cli(LightningCLI):
         if not sys.stderr.isatty():
             kwargs["enable_progress_bar"] = False
         return super().instantiate_trainer(**kwargs, logger=self.loggers)
+
+
+def as_authors(data: Namespace) -> None:
+    """Let data be used as the authors' training script does, and say so on the error stream.
+
+    Their script leaves out batches smaller than the batch size, never reads the validation split,
+    and chooses the best epoch by the error on the test split. The last is a flaw: what is chosen on
+    a split scores too well on it. It is reproduced for comparison with their numbers.
+
+    Args:
+        data: The arguments of :class:`PoseDataModule`; ``splits`` and ``drop_last`` are changed.
+    """
+    train, _, test = data.splits
+    data.splits, data.drop_last = (train, test, test), True
+    rank_zero_only(print)(
+        f"--model.compat authors: the best epoch is chosen on the test split {test!r}, as in the "
+        "authors' code, so that its errors there are too small to compare with others; no "
+        f"validation split is read; batches smaller than {data.batch_size} are left out",
+        file=sys.stderr,
+    )
 
 
 def newest(folder: Path) -> Path | None:
@@ -159,6 +184,7 @@ def quiet() -> None:
         ".*isinstance\\(treespec, LeafSpec\\).*",
         ".*LightningCLI's args parameter.*",
         ".*Experiment logs directory .* exists.*",
+        ".*sync_dist=True.*",  # all processes log the same number
     ):
         warnings.filterwarnings("ignore", message=text)
     for name in ("lightning.pytorch", "lightning.fabric"):

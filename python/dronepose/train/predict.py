@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader
 
+from dronepose._files import write_text
 from dronepose.data import PoseDataModule
-from dronepose.geometry import quat_wxyz_from_matrix
-from dronepose.model import model_from_file
-from dronepose.model.files import beside
+from dronepose.data._poses import poses_csv
+from dronepose.data.module import one_thread
+from dronepose.model import WeightsError, model_from_file, read_metadata
 
 if TYPE_CHECKING:
     import argparse
     import os
-    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -51,16 +51,24 @@ def predict(
 
     Raises:
         OSError: A file cannot be read.
-        ValueError: The weights or a sample were refused.
+        ValueError: The weights or a sample were refused, or a predicted pose is not finite.
     """
     model = model_from_file(weights).to(device).eval()
-    loader = DataLoader(dataset, batch_size=batch_size, num_workers=workers)
+    loader = DataLoader(
+        dataset, batch_size=batch_size, num_workers=workers, worker_init_fn=one_thread
+    )
     names: list[str] = []
     rotations, translations = [], []
     begin, shown = time.monotonic(), 0.0
     with torch.inference_mode():
         for batch in loader:
             R, t = model(batch["image"].to(device), batch["K"].to(device))
+            finite = R.isfinite().all(dim=(1, 2)) & t.isfinite().all(dim=1)
+            if not finite.all():
+                first = batch["name"][int(finite.int().argmin())]
+                raise ValueError(
+                    f"{weights}: the pose predicted for sample {first!r} is not finite"
+                )
             names += batch["name"]
             rotations.append(R.double().cpu().numpy())
             translations.append(t.double().cpu().numpy())
@@ -75,27 +83,48 @@ def predict(
     return names, np.concatenate(rotations), np.concatenate(translations)
 
 
-def poses_csv(names: Sequence[str], R: Array, t: Array) -> str:
-    """Poses as ``dronepose-eval`` reads them: ``id,qw,qx,qy,qz,tx,ty,tz``, metres.
+def true_poses_csv(dataset: PoseDataset) -> str:
+    """The poses that a data set states, as CSV for ``dronepose-eval``; no image is read."""
+    poses = [dataset.pose(k) for k in range(len(dataset))]
+    R = np.array([R for R, _ in poses]).reshape(-1, 3, 3)
+    t = np.array([t for _, t in poses]).reshape(-1, 3)
+    return poses_csv(dataset.names, R, t)
 
-    Args:
-        names: Ids; quoted where they need it (RFC 4180).
-        R: ``(N, 3, 3)``, rotations of ``cam_from_model``.
-        t: ``(N, 3)``, metres.
-    """
-    lines = ["id,qw,qx,qy,qz,tx,ty,tz"]
-    quaternions = quat_wxyz_from_matrix(R) if len(R) else np.zeros((0, 4))
-    for name, q, p in zip(names, quaternions, t, strict=True):
-        quoted = f'"{name.replace(chr(34), 2 * chr(34))}"' if set(name) & set(',"\r\n') else name
-        lines.append(",".join([quoted, *(repr(float(x)) for x in (*q, *p))]))
-    return "\n".join(lines) + "\n"
+
+def image_size(weights: Path) -> tuple[int | None, int | None]:
+    """Height and width of the images that weights were trained on; ``None`` if they do not say."""
+    try:
+        height, width = read_metadata(weights).get("image_size", (None, None))
+    except WeightsError:  # a checkpoint of others
+        return None, None
+    return height, width
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
-    """What ``dronepose predict`` does, with its arguments; says what it wrote."""
+    """What ``dronepose predict`` does.
+
+    Images are brought to the size that the weights were trained on.
+
+    Args:
+        options: The arguments of the command, parsed.
+
+    Returns:
+        What was written, as for JSON.
+
+    Raises:
+        OSError: A file cannot be read or written.
+        ValueError: The weights, the data or an argument were refused.
+    """
     if not options.weights.is_file():
         raise FileNotFoundError(f"{options.weights}: there is no such file of weights")
-    data = PoseDataModule(kind=options.kind, root=str(options.data), batch_size=options.batch_size)
+    height, width = image_size(options.weights)
+    data = PoseDataModule(
+        kind=options.kind,
+        root=str(options.data),
+        batch_size=options.batch_size,
+        height=height,
+        width=width,
+    )
     dataset = data.dataset(options.split)
     begin = time.monotonic()
     names, R, t = predict(
@@ -108,14 +137,5 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     seconds = time.monotonic() - begin
     write_text(options.out, poses_csv(names, R, t))
     if options.gt_out is not None:
-        raws = [dataset.load(k) for k in range(len(dataset))]
-        truth = (np.stack([raw.R for raw in raws]), np.stack([raw.t for raw in raws]))
-        write_text(options.gt_out, poses_csv([raw.name for raw in raws], *truth))
+        write_text(options.gt_out, true_poses_csv(dataset))
     return {"out": str(options.out), "images": len(names), "seconds": round(seconds, 3)}
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file, completely or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with beside(path) as part:
-        part.write_text(text, encoding="utf-8")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch.distributed
@@ -24,11 +24,11 @@ class Judge:
 
     Args:
         mesh: The model, for ADD; without it there is none.
-        authors: Score with the preset of the authors' script.
+        preset: ``"paper"``, or ``"authors"`` for the averages of the authors' script.
     """
 
-    def __init__(self, mesh: Mesh | None, *, authors: bool = False) -> None:
-        self.mesh, self.authors = mesh, authors
+    def __init__(self, mesh: Mesh | None, *, preset: Literal["paper", "authors"] = "paper") -> None:
+        self.mesh, self.preset = mesh, preset
         self.evaluation: Evaluation | None = None
         """The last one, on the first process."""
         self._rows: dict[str, tuple[np.ndarray[Any, Any], ...]] = {}
@@ -42,8 +42,12 @@ class Judge:
     def finish(self, processes: int = 1) -> dict[str, float] | None:
         """The metrics of Table 1 over all that was added, by name, and forget it.
 
-        ``None`` if nothing was. Samples that two processes were given, to have as many each, count
-        once. The order is that of the names.
+        Args:
+            processes: How many take part, each in this call; all get the result.
+
+        Returns:
+            As :func:`table_one`, or ``None`` if nothing was added. A sample that came twice,
+            because each process is given as many, counts once. The order is that of the names.
         """
         rows, self._rows = self._rows, {}
         if processes > 1:
@@ -59,7 +63,7 @@ class Judge:
             (R_gt, t_gt, names),
             mesh=self.mesh,
             metrics=["add"] if self.mesh is not None else [],
-            preset="authors" if self.authors else "paper",
+            preset=self.preset,
             bootstrap=0,
         )
         return table_one(self.evaluation)

@@ -22,9 +22,9 @@ import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 import dronepose
+from dronepose._files import write_text
 from dronepose.data import PoseDataModule
 from dronepose.train.callbacks import RendererShare
-from dronepose.train.predict import write_text
 from dronepose.train.task import PoseTask
 
 if TYPE_CHECKING:

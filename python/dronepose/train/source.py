@@ -15,13 +15,13 @@ def mesh_file(given: str | None, data: PoseDataModule) -> Path | None:
     """The mesh that was asked for, or that of the data set; ``None`` if there is neither."""
     if given is not None:
         return Path(given)
-    found: Path | None = getattr(data.dataset(data.splits[0]), "mesh_file", None)
+    found: Path | None = getattr(data.training_set(), "mesh_file", None)
     return found
 
 
 def camera_of(data: PoseDataModule) -> Camera | None:
     """The camera of the images as they are trained on; ``None`` if each has its own."""
-    found: Camera | None = getattr(data.dataset(data.splits[0]), "camera", None)
+    found: Camera | None = getattr(data.training_set(), "camera", None)
     if found is None or data.height is None or data.width is None:
         return found
     across, down = data.width / found.width, data.height / found.height

@@ -29,10 +29,20 @@ from dronepose.train.report import Judge
 from dronepose.train.source import mesh_file
 
 Mode = Literal["coverage", "dibr", "sigmoid"]
+Compat = Literal["paper", "authors"]
 
 
 class Exo(nn.Module):
     """The silhouette objective: masks of a mesh under predicted poses, and a loss for them.
+
+    Args:
+        mesh: The model, metres.
+        loss: Its name, as :func:`dronepose.losses.silhouette_loss` takes it.
+        options: Its options.
+        mode: As in :class:`PoseTask`, and so are the following.
+        sigma: As in :class:`PoseTask`.
+        delta: As in :class:`PoseTask`.
+        sigma_ndc: Width of mode ``"sigmoid"``, squared NDC, as SoftRas has it.
 
     Attributes:
         seconds: Time spent in forward and backward passes since it was last set to zero.
@@ -112,7 +122,7 @@ class PoseTask(lightning.LightningModule):
         weights: A file with weights to begin from; none is ever downloaded.
         normalisation: ``"none"`` or ``"imagenet"``.
         camera: ``None``, or ``"normalised"`` for a network that knows the camera.
-        hidden: Widths of the fully connected layers; those of the paper by default.
+        hidden: Widths of the fully connected layers behind the backbone; by default the paper's.
         silhouette: A loss by name (:func:`dronepose.losses.silhouette_loss`), or ``"none"``.
         silhouette_options: Options of the loss, such as ``size`` and ``sigma``.
         mode: How silhouettes are drawn: ``"dibr"`` as in the paper, ``"coverage"``, ``"sigmoid"``.
@@ -124,8 +134,10 @@ class PoseTask(lightning.LightningModule):
         lr_schedule: ``"constant"``, as in the paper, or ``"cosine"``: up to ``lr`` along a line
             during the first twentieth of the steps, then down to zero along half a cosine.
         freeze_norm: Keep the statistics of batch normalisation as they are.
-        compat: ``"paper"``, or ``"authors"``: the mean over the three coordinates in ``L_t``, means
-            of the means of batches in validation and test.
+        compat: ``"paper"``, or ``"authors"``: the mean over the three coordinates in ``L_t``, and
+            errors in validation and test as means of the means of batches of 8, as their script
+            has them. ``dronepose train`` then uses the data as their script does, too:
+            :func:`dronepose.train.cli.as_authors`.
 
     Raises:
         ValueError: A share is outside of 0 to 1, a schedule does not begin at epoch 0, or a name is
@@ -150,42 +162,42 @@ class PoseTask(lightning.LightningModule):
         lr: float = 1e-4,
         lr_schedule: Literal["constant", "cosine"] = "constant",
         freeze_norm: bool = False,
-        compat: Literal["paper", "authors"] = "paper",
+        compat: Compat = "paper",
     ) -> None:
         super().__init__()
         self.save_hyperparameters()
         self.schedule = _schedule(lambda_exo if silhouette != "none" else 0.0)
         if not 0 <= lambda_pose <= 1:
             raise ValueError(f"lambda_pose: {lambda_pose}; expected 0 to 1")
+        if compat not in ("paper", "authors"):
+            raise ValueError(f"compat: {compat!r}; expected 'paper' or 'authors'")
         if lr_schedule not in ("constant", "cosine"):
             raise ValueError(f"lr_schedule: {lr_schedule!r}; expected 'constant' or 'cosine'")
         self.lambda_pose, self.lr, self.lr_schedule = lambda_pose, lr, lr_schedule
-        self.freeze_norm, self.authors = freeze_norm, compat == "authors"
-        self.model = PoseNet(
-            backbone,
-            weights=weights,
-            normalisation=normalisation,
-            camera=camera,
-            **({"hidden": hidden} if hidden else {}),
-        ).to(memory_format=torch.channels_last)
-        self._mesh = mesh
+        self.freeze_norm, self.compat = freeze_norm, compat
+        widths: dict[str, Any] = {} if hidden is None else {"hidden": hidden}
+        net = PoseNet(
+            backbone, weights=weights, normalisation=normalisation, camera=camera, **widths
+        )
+        self.model = net.to(memory_format=torch.channels_last)
+        self.mesh = mesh
         self._exo_options = (silhouette, dict(silhouette_options or {}), mode, sigma, delta)
         self.exo: Exo | None = None
-        self.judge = Judge(None, authors=self.authors)
+        self.judge = Judge(None, preset=compat)
         self.epoch_report: dict[str, float] = {}
 
     def configure_model(self) -> None:
         """Load the mesh: of the arguments, or of the data set."""
         if self.exo is not None or self.judge.mesh is not None:
             return
-        path = mesh_file(self._mesh, self.trainer.datamodule)  # type: ignore[attr-defined]
+        path = mesh_file(self.mesh, self.trainer.datamodule)  # type: ignore[attr-defined]
         name, options, mode, sigma, delta = self._exo_options
         if path is None:
             if name != "none":
                 raise ValueError("mesh: a silhouette loss needs one, and the data set names none")
             return
         mesh = Mesh.from_file(path)
-        self.judge = Judge(mesh, authors=self.authors)
+        self.judge = Judge(mesh, preset=self.compat)
         if name != "none":
             self.exo = Exo(mesh, name, options, mode=mode, sigma=sigma, delta=delta)
 
@@ -213,11 +225,21 @@ class PoseTask(lightning.LightningModule):
                     module.eval()
 
     def objective(self, batch: dict[str, Any]) -> dict[str, Tensor]:
-        """The loss and its parts, for a collated batch of samples."""
+        """The loss and its parts.
+
+        Args:
+            batch: Samples as :class:`dronepose.data.Sample` has them, collated.
+
+        Returns:
+            ``loss``, ``translation`` (square metres), ``rotation`` (radians), and ``silhouette`` if
+            it has a share; numbers.
+
+        Raises:
+            ValueError: A silhouette loss was asked for, and the samples have no masks.
+        """
         R, t = self.model(batch["image"], batch["K"])
-        form: Literal["paper", "authors"] = "authors" if self.authors else "paper"
         parts = {
-            "translation": losses.translation_loss(t.float(), batch["t"], form=form),
+            "translation": losses.translation_loss(t.float(), batch["t"], form=self.compat),
             "rotation": losses.rotation_loss(R.float(), batch["R"]),
         }
         share = self.lambda_exo(self.current_epoch)
@@ -225,6 +247,8 @@ class PoseTask(lightning.LightningModule):
         pose = weight * parts["translation"] + (1 - weight) * parts["rotation"]
         if self.exo is None or share == 0:
             return {"loss": pose, **parts}
+        if batch["mask"].numel() == 0:
+            raise ValueError(f"silhouette: sample {batch['name'][0]!r} has no mask to compare with")
         parts["silhouette"] = self.exo(R, t, batch["K"], batch["mask"])
         return {"loss": losses.total_loss(pose, parts["silhouette"], lambda_exo=share), **parts}
 

@@ -25,6 +25,7 @@
     reason = "loops over lanes have to be compiled for the wide registers, and without branches"
 )]
 
+pub mod appearance;
 #[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
 mod avx512;
 mod band;

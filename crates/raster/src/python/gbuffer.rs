@@ -26,17 +26,20 @@ use crate::raster::{Model, Pixel, Size, View};
 use crate::threads;
 
 /// `fx, fy, cx, cy, skew, width, height`.
-type Camera = (f64, f64, f64, f64, f64, usize, usize);
+pub(super) type Camera = (f64, f64, f64, f64, f64, usize, usize);
 
 /// The meshes prepared for drawing, which each does once.
-fn models<'a>(py: Python<'_>, meshes: &'a [PyRef<'_, PyMesh>]) -> PyResult<Vec<&'a Model>> {
+pub(super) fn models<'a>(
+    py: Python<'_>,
+    meshes: &'a [PyRef<'_, PyMesh>],
+) -> PyResult<Vec<&'a Model>> {
     let meshes: Vec<&PyMesh> = meshes.iter().map(|mesh| &**mesh).collect();
     let one = |mesh: &'a PyMesh| mesh.model().map(|model| &**model);
     Ok(py.detach(|| meshes.into_iter().map(one).collect::<crate::Result<_>>())?)
 }
 
 /// Poses as views of a camera.
-fn views(
+pub(super) fn views(
     R: &PyReadonlyArray3<'_, f64>,
     t: &PyReadonlyArray2<'_, f64>,
     (fx, fy, cx, cy, skew, ..): Camera,
@@ -51,11 +54,11 @@ fn views(
     Ok(pairs.map(|(m, &translation)| View { rotation: rows(m), translation, camera }).collect())
 }
 
-fn rows(m: &[f64; 9]) -> [[f64; 3]; 3] {
+pub(super) fn rows(m: &[f64; 9]) -> [[f64; 3]; 3] {
     [[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]]
 }
 
-fn size((.., width, height): Camera) -> Size {
+pub(super) fn size((.., width, height): Camera) -> Size {
     Size { height, width }
 }
 

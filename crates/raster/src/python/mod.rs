@@ -10,6 +10,7 @@ mod gbuffer;
 mod losses;
 mod mesh;
 mod metrics;
+mod shade;
 mod silhouette;
 
 #[pyo3::pymodule(gil_used = false)]
@@ -32,6 +33,8 @@ mod _native {
         matrix_from_quat_wxyz, matrix_from_quat_xyzw, mssd, npe, orientation_error, projection,
         quat_wxyz_from_matrix, symmetric_orientation_error, translation_error,
     };
+    #[pymodule_export]
+    use super::shade::{PyEnvironment, PyTexture, colours, srgb_bytes};
     #[pymodule_export]
     use super::silhouette::{PyModel, PyTraces, silhouette, silhouette_gradients};
 
