@@ -163,7 +163,7 @@ def load_asset(
         scene = trimesh.load_scene(
             io.BytesIO(content),
             file_type=kind,
-            resolver=_Files(path.parent),  # type: ignore[arg-type]
+            resolver=_resolver(path.parent),
             process=False,
         )
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
@@ -226,31 +226,28 @@ def load_placements(path: str | os.PathLike[str]) -> list[tuple[str, Asset]]:
     return found
 
 
-class _Files:
-    """What trimesh asks for the files that a mesh names, with ``get`` as its resolvers have.
+def _texture_file(folder: Path, name: str) -> bytes:
+    """Content of a file that a mesh names: at that place, or one of its name where Gazebo's are.
 
-    Theirs stays below the folder of the mesh, while Gazebo's models keep textures beside it.
+    trimesh's own resolver stays below the folder of the mesh; such models keep textures beside it.
     """
+    relative = Path(unquote(name.removeprefix("file://")).replace("\\", "/"))
+    for place in (folder, *(folder / other for other in _TEXTURES)):
+        for candidate in (place / relative, place / relative.name):
+            if candidate.is_file():
+                return candidate.read_bytes()
+    raise FileNotFoundError(f"{folder / relative}: there is no such file")
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
 
-    def get(self, name: str) -> bytes:
-        """Content of a file by the name in the mesh, or of one with its last part."""
-        relative = Path(unquote(name.removeprefix("file://")).replace("\\", "/"))
-        for folder in (self._folder, *(self._folder / place for place in _TEXTURES)):
-            for candidate in (folder / relative, folder / relative.name):
-                if candidate.is_file():
-                    return candidate.read_bytes()
-        raise FileNotFoundError(f"{self._folder / relative}: there is no such texture")
+def _resolver(folder: Path) -> Any:
+    """What trimesh asks for files that a mesh names."""
+    from trimesh import resolvers
 
-    def namespaced(self, namespace: str) -> _Files:
-        """For files in a folder below."""
-        return _Files(self._folder / namespace)
+    class Files(resolvers.FilePathResolver):
+        def get(self, name: str) -> bytes:
+            return _texture_file(folder, name)
 
-    def keys(self) -> list[str]:
-        """Names of the files beside the mesh."""
-        return sorted(file.name for file in self._folder.iterdir() if file.is_file())
+    return Files(str(folder))
 
 
 def _number(text: str | None, place: str, column: str) -> float:

@@ -1,0 +1,375 @@
+"""A plan rendered to a data set in the layout of UAVA, resumable and in shards."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import platform
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from dronepose import _native
+from dronepose._files import write_bytes, write_text
+from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose.synth.encode import (
+    ENCODINGS,
+    encode_depth,
+    encode_flow,
+    encode_normal,
+    png,
+)
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Mapping
+
+    from dronepose.synth.plan import PlanTable
+    from numpy.typing import NDArray
+
+    from dronepose.camera import Camera
+    from dronepose.render import Environment, Flow
+    from dronepose.synth.studio import Frame, Studio
+
+    Array = NDArray[np.float64]
+    Pose = tuple[Array, Array]
+
+__all__ = ["FORMAT", "RenderSettings", "SynthError", "render_sample", "write_dataset"]
+
+FORMAT = "dronepose-uava-1"
+_BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
+
+
+class SynthError(ValueError):
+    """A folder or an argument that does not fit; the message names it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings:
+    """How a plan is rendered, and which rules look at the pictures.
+
+    Args:
+        seed: Of the lights. The light of a sample depends on it and on the sample's row alone.
+        strength: Smallest and largest factor of the panorama's light (DronePose, section 3: 0.3 to
+            0.7), uniform.
+        least_seen: Rule *hidden*: share of the drone's area in each exocentric image that the scene
+            must not hide, 0 to 1.
+        most_hole: Rule *invalid*: share of an image in which the scan may have holes, 0 to 1.
+        least_pixels: Rule *hidden*: area of the drone in each exocentric image, pixels.
+
+    Raises:
+        ValueError: A value is out of its range; the message starts with its name.
+
+    Example:
+        >>> RenderSettings().strength
+        (0.3, 0.7)
+    """
+
+    seed: int = 0
+    strength: tuple[float, float] = (0.3, 0.7)
+    least_seen: float = 0.5
+    most_hole: float = 0.05
+    least_pixels: float = 100.0
+
+    def __post_init__(self) -> None:
+        low, high = self.strength
+        if not 0 <= low <= high < 1e3:
+            raise ValueError(f"strength: expected 0 <= smallest <= largest, got {self.strength}")
+        for name in ("least_seen", "most_hole"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
+        if self.seed < 0 or not 0 <= self.least_pixels < 1e9:
+            raise ValueError("seed, least_pixels: expected numbers >= 0")
+
+
+@dataclass(slots=True)
+class Sample:
+    """The pictures of a row of the plan and what the rules say of them.
+
+    Args:
+        files: PNG by ``(view, modality, time step)``.
+        facts: Numbers for ``samples.csv``; ``kept`` is 1 or 0, ``removed_by`` names the rule.
+    """
+
+    files: dict[tuple[str, str, int], bytes] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+
+def render_sample(
+    studio: Studio,
+    plan: PlanTable,
+    row: int,
+    cameras: tuple[Camera, Camera],
+    environments: Mapping[str, Environment],
+    settings: RenderSettings,
+) -> Sample:
+    """Render one row: both cameras, both times, and the flow between them both ways.
+
+    Args:
+        studio: The scene and one drone.
+        plan: The poses.
+        row: Which, from 0.
+        cameras: The exocentric and the egocentric camera.
+        environments: Panoramas by name; empty leaves the drone unlit.
+        settings: Light and rules.
+
+    Returns:
+        The pictures; none where a rule removes the sample.
+
+    Raises:
+        ValueError: A pose cannot be drawn.
+    """
+    poses = {name: _pose(plan, name, row) for name in
+             ("exo", "ego", "ego_next", "drone", "drone_next")}  # fmt: skip
+    generator = np.random.default_rng([settings.seed, row])
+    names = sorted(environments)
+    which = names[int(generator.integers(len(names)))] if names else None
+    strength, turn = generator.uniform(*settings.strength), generator.uniform(0, 2 * np.pi)
+    light: dict[str, Any] = {
+        "environment": None if which is None else environments[which],
+        "strength": float(strength),
+        "world_from_panorama": _about_up(float(turn)),
+    }
+    drones = ([poses["drone"]], [poses["drone_next"]])
+    exo = [studio.frame(cameras[0], poses["exo"], drone, **light) for drone in drones]
+    facts: dict[str, Any] = {
+        "row": row,
+        "id": plan.ids[row],
+        "environment": which or "",
+        "strength": float(strength),
+        "panorama_rad": float(turn),
+        "seen": min(frame.seen for frame in exo),
+        "area_px": min(float(frame.silhouette.sum(dtype=np.float64)) for frame in exo),
+        "hole": max(frame.hole for frame in exo),
+        "kept": 0,
+        "removed_by": "",
+    }
+    if facts["seen"] < settings.least_seen or facts["area_px"] < settings.least_pixels:
+        return Sample({}, {**facts, "removed_by": "hidden"})
+    ego = [studio.frame(cameras[1], poses[name]) for name in ("ego", "ego_next")]
+    facts["hole"] = max(facts["hole"], *(frame.hole for frame in ego))
+    if facts["hole"] > settings.most_hole:
+        return Sample({}, {**facts, "removed_by": "invalid"})
+    moments = {
+        "exocentric": [(poses["exo"], drone) for drone in drones],
+        "egocentric": [(poses["ego"], []), (poses["ego_next"], [])],
+    }
+    files = {}
+    for (view, moment), camera, frames in zip(moments.items(), cameras, (exo, ego), strict=True):
+        for step in (0, 1):
+            flow = studio.flow(camera, moment[step], moment[1 - step])  # type: ignore[arg-type]
+            pictures = _pictures(frames[step], flow, drone=view == "exocentric")
+            for modality, image in pictures.items():
+                files[view, modality, step] = png(image)
+    return Sample(files, {**facts, "kept": 1})
+
+
+def _pictures(frame: Frame, flow: Flow, *, drone: bool) -> dict[str, Any]:
+    """The images of a moment by modality."""
+    found: dict[str, Any] = {
+        "colour": frame.colour,
+        "depth": encode_depth(frame.depth),
+        "normal_map": encode_normal(frame.normal),
+        "flow": encode_flow(flow.flow, flow.visible, flow.occluded, flow.outside),
+    }
+    if drone:
+        found["silhouette"] = np.rint(255 * frame.silhouette).astype(np.uint8)
+        found["matte"] = np.rint(255 * frame.matte).astype(np.uint8)
+        found["instance"] = (frame.instance + 1).astype(np.uint8)
+    return found
+
+
+def _pose(plan: PlanTable, name: Any, row: int) -> Pose:
+    R, t = plan.pose(name)
+    return R[row], t[row]
+
+
+def _about_up(angle: float) -> Array:
+    """Rotation about the world's z axis."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def write_dataset(
+    root: str | os.PathLike[str],
+    plan: PlanTable,
+    studio: Studio,
+    cameras: tuple[Camera, Camera],
+    *,
+    building: str,
+    drone: str = "drone",
+    split: str = "train",
+    date: str = "flight",
+    environments: Mapping[str, Environment] | None = None,
+    settings: RenderSettings | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    shard: tuple[int, int] = (0, 1),
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Render a plan into a data set, or what is missing of it.
+
+    Every file is written whole or not at all, and a sample counts as done when its last file,
+    ``records/BUILDING/ROW.json``, is there; so a run that was stopped at any moment is taken up by
+    calling it once more, and ends in the same bits. Several scenes go into one folder one after the
+    other, each into one split.
+
+    Args:
+        root: The folder, in the layout of :class:`dronepose.data.UavaDataset`.
+        plan: The poses, of one flight in one scene.
+        studio: The scene and one drone.
+        cameras: The exocentric and the egocentric camera.
+        building: Name of the scene; no underscores or slashes.
+        drone: Name of the drone.
+        split: ``"train"``, ``"val"`` or ``"test"``.
+        date: Name of the flight; no underscores or slashes.
+        environments: Panoramas by name.
+        settings: Light and rules.
+        inputs: What the manifest says of the files that went in.
+        shard: ``(k, n)`` renders every n-th row from the k-th on; the shard that finds all records
+            there finishes the data set.
+        progress: Called with the number of rows that are done and of all.
+
+    Returns:
+        The manifest, with ``"written"``: rows that this call rendered.
+
+    Raises:
+        SynthError: The folder holds a data set of other settings, the scene is in another split,
+            or a name cannot be part of a file's name.
+        OSError: A file cannot be written.
+    """
+    root, settings = Path(root), settings or RenderSettings()
+    for name, value in (("building", building), ("date", date), ("drone", drone)):
+        if not value or set(value) & set("_/\\ \t\n"):
+            raise SynthError(f"{name}: expected a name without underscores and slashes: {value!r}")
+    if split not in ("train", "val", "test"):
+        raise SynthError(f"split: expected train, val or test, got {split!r}")
+    k, n = shard
+    if not 0 <= k < n:
+        raise SynthError(f"shard: expected (k, n) with 0 <= k < n, got {shard}")
+    facts = {
+        "building": building,
+        "drone": drone,
+        "date": date,
+        "split": split,
+        "rows": len(plan),
+        "settings": json.loads(json.dumps(asdict(settings))),
+        "cameras": {"exocentric": asdict(cameras[0]), "egocentric": asdict(cameras[1])},
+        "environments": sorted(environments or {}),
+        "inputs": json.loads(json.dumps(dict(inputs or {}))),
+        "plan": plan.manifest,
+    }
+    _begin(root, building, facts)
+    records = root / "records" / building
+    written = 0
+    for row in range(len(plan)):
+        record = records / f"{row:06d}.json"
+        if row % n == k and not record.exists():
+            sample = render_sample(studio, plan, row, cameras, environments or {}, settings)
+            for (view, modality, step), content in sample.files.items():
+                name = f"{row}_{date}_{step}_{modality}_{view}_0.png"
+                write_bytes(root / drone / view / modality / building / name, content)
+            write_text(record, json.dumps(sample.facts) + "\n")
+            written += 1
+        if progress is not None:
+            progress(row + 1, len(plan))
+    done = [records / f"{row:06d}.json" for row in range(len(plan))]
+    complete = all(path.exists() for path in done)
+    if complete:
+        kept = [json.loads(path.read_text(encoding="utf-8")) for path in done]
+        facts = _finish(root, facts, kept, plan)
+    return {**facts, "complete": complete, "written": written}
+
+
+def _begin(root: Path, building: str, facts: dict[str, Any]) -> None:
+    """Make sure that what is there is of the same settings, and the scene of no other split."""
+    path = root / "scenes" / f"{building}.json"
+    if path.exists():
+        before = json.loads(path.read_text(encoding="utf-8"))
+        for key, value in facts.items():
+            if before.get(key) != json.loads(json.dumps(value)):
+                raise SynthError(
+                    f"{path}: was rendered with another {key}; choose another folder, or remove it"
+                )
+        return
+    write_text(path, json.dumps({**facts, "complete": False}, indent=1) + "\n")
+
+
+def _finish(
+    root: Path, facts: dict[str, Any], records: list[dict[str, Any]], plan: PlanTable
+) -> dict[str, Any]:
+    """The flight's file, the lists of scenes and the manifest, once all rows are rendered."""
+    building, date = facts["building"], facts["date"]
+    table = io.StringIO()
+    writer = csv.DictWriter(table, list(records[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
+    write_text(root / "scenes" / f"{building}.csv", table.getvalue())
+    flight = root / "trajectories" / building / date / "poses_blender.txt"
+    write_text(flight, _flight_text(plan))
+    removed = [record["removed_by"] for record in records]
+    left = len(records) - removed.count("hidden")
+    steps = [
+        {"rule": "hidden", "came": len(records), "removed": removed.count("hidden")},
+        {"rule": "invalid", "came": left, "removed": removed.count("invalid")},
+    ]
+    facts = {
+        "format": FORMAT,
+        "complete": True,
+        **facts,
+        "kept": sum(record["kept"] for record in records),
+        "rendered_rules": steps,
+        "encodings": ENCODINGS,
+        "versions": {
+            "dronepose": _native.__version__,
+            "numpy": np.__version__,
+            "opencv": cv2.__version__,
+            "python": platform.python_version(),
+        },
+    }
+    path = root / "scenes" / f"{building}.json"
+    held = {key: value for key, value in facts.items() if key != "format"}
+    write_text(path, json.dumps({**held, "complete": True}, indent=1) + "\n")
+    _lists(root)
+    write_text(root / "dataset.json", json.dumps(facts, indent=1) + "\n")
+    return facts
+
+
+def _lists(root: Path) -> None:
+    """``data splits/scenes_SPLIT.txt`` from the scenes that are complete."""
+    scenes: dict[str, list[str]] = {}
+    for path in sorted((root / "scenes").glob("*.json")):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if found.get("complete") and found.get("kept"):
+            scenes.setdefault(found["split"], []).append(found["building"])
+    for split, names in scenes.items():
+        write_text(root / "data splits" / f"scenes_{split}.txt", "\n".join(names) + "\n")
+
+
+def _flight_text(plan: PlanTable) -> str:
+    """The poses as UAVA's files have them: tabs, quaternions x y z w, Blender's camera axes."""
+    R, t = plan.pose("exo")
+    camera = np.swapaxes(R, 1, 2) @ _BLENDER_FROM_OPENCV  # world_from_camera
+    eye = -np.einsum("nji,nj->ni", R, t)
+    columns: dict[str, Array] = {}
+    for suffix, name in (("_t1", "drone"), ("_t2", "drone_next")):
+        turn, place = plan.pose(name)  # type: ignore[arg-type]
+        columns |= _columns("Position", suffix, place) | _turns("Orientation", suffix, turn)
+    columns |= _columns("Pilot", "", eye) | _turns("PilotRot", "", camera)
+    lines = ["\t".join(columns)]
+    lines += ["\t".join(repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _columns(name: str, suffix: str, values: Array) -> dict[str, Array]:
+    return {f"{name}({axis}){suffix}": values[:, k] for k, axis in enumerate("xyz")}
+
+
+def _turns(name: str, suffix: str, R: Array) -> dict[str, Array]:
+    q = quat_wxyz_from_matrix(R)
+    return {
+        f"{name}({axis}){suffix}": q[:, k] for axis, k in zip("xyzw", (1, 2, 3, 0), strict=True)
+    }
