@@ -11,6 +11,7 @@ mod losses;
 mod mesh;
 mod metrics;
 mod silhouette;
+mod synth;
 
 #[pyo3::pymodule(gil_used = false)]
 mod _native {
@@ -34,6 +35,8 @@ mod _native {
     };
     #[pymodule_export]
     use super::silhouette::{PyModel, PyTraces, silhouette, silhouette_gradients};
+    #[pymodule_export]
+    use super::synth::{PyFlight, PyPlan, PyTrack, free_space, read_anchors, synth_defaults};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "the name that Python gives it")]
