@@ -50,6 +50,22 @@ def chosen(name: str, value: str, among: Collection[str]) -> str:
     return value
 
 
+def axes(name: str, text: str) -> str:
+    """``text`` in lower case, if it is three letters of which way the axes of a body point.
+
+    Raises:
+        ValueError: It is not three different axes of forward, back, left, right, up, down.
+    """
+    found = text.lower()
+    pairs = ("fb", "lr", "ud")
+    if len(found) != 3 or any(sum(found.count(letter) for letter in pair) != 1 for pair in pairs):
+        raise ValueError(
+            f"{name}: expected which way x, y and z point, as three letters of f b l r u d, such "
+            f"as flu (forward, left, up) or frd, got {text!r}"
+        )
+    return found
+
+
 def vector(name: str, value: Any) -> list[float]:
     """Three finite numbers.
 

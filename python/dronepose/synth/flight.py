@@ -14,7 +14,7 @@ import numpy as np
 
 from dronepose import _native
 from dronepose._arrays import read_only
-from dronepose.synth._settings import chosen, encode, points, vector
+from dronepose.synth._settings import axes, chosen, encode, points, vector
 
 if TYPE_CHECKING:
     import os
@@ -342,7 +342,7 @@ def read_flight(
     options = {
         "format": format,
         "world": world,
-        "body_axes": body_axes,
+        "body_axes": None if body_axes is None else axes("body_axes", body_axes),
         "quaternion": quaternion,
         "time_unit": time_unit,
         "mount_rpy_deg": vector("mount_rpy_deg", mount_rpy_deg),

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from dronepose.camera import Camera
-from dronepose.synth._settings import chosen, encode, vector
+from dronepose.synth._settings import axes, chosen, encode, vector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,6 +78,7 @@ class Rules:
     centroid_m: Sequence[float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "model_axes", axes("model_axes", self.model_axes))
         chosen("motion", self.motion, ("any", "all"))
         vector("ego_offset_m", self.ego_offset_m)
         vector("centroid_m", self.centroid_m)
