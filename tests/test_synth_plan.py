@@ -144,7 +144,7 @@ def test_poses_of_a_plan_agree_with_one_another(demo):
     assert (table["distance_m"] <= 1.5).all()
     # The view: no roll, upright, from the anchor's cube.
     eye = -np.einsum("nji,nj->ni", R_exo, t_exo)
-    assert np.abs(eye - near).max() <= 0.2 + 1e-9
+    assert np.abs(eye - near).max() <= 0.25 + 1e-9
     np.testing.assert_allclose(R_exo[:, 0, 2], 0, atol=1e-9)
     assert (R_exo[:, 1, 2] < 0).all()
     # The drone's camera looks where the drone's nose points, and stays upright with it.

@@ -127,32 +127,62 @@ class Track:
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second."""
+        """Frames a second.
+
+        Example:
+            >>> Track([[0, 0, 1], [0.1, 0, 1]], [[1, 0, 0, 0]] * 2).rate_hz
+            60.0
+        """
         return self._native.rate_hz
 
     @property
     def frames(self) -> NDArray[np.int64]:
-        """``(N,)`` numbers of the frames."""
+        """``(N,)`` numbers of the frames.
+
+        Example:
+            >>> Track([[0, 0, 1], [0.1, 0, 1]], [[1, 0, 0, 0]] * 2).frames.tolist()
+            [0, 1]
+        """
         return read_only(self._native.frames())
 
     @property
     def positions(self) -> Array:
-        """``(N, 3)`` metres, world frame."""
+        """``(N, 3)`` metres, world frame.
+
+        Example:
+            >>> Track([[0, 0, 1], [0.1, 0, 1]], [[1, 0, 0, 0]] * 2).positions[1].tolist()
+            [0.1, 0.0, 1.0]
+        """
         return read_only(self._native.positions())
 
     @property
     def quat_wxyz(self) -> Array:
-        """``(N, 4)`` ``world_from_body``, scalar first; neighbours are on one side."""
+        """``(N, 4)`` ``world_from_body``, scalar first; neighbours are on one side.
+
+        Example:
+            >>> Track([[0, 0, 1], [0.1, 0, 1]], [[1, 0, 0, 0]] * 2).quat_wxyz[1].tolist()
+            [1.0, 0.0, 0.0, 0.0]
+        """
         return read_only(self._native.quat_wxyz())
 
     @property
     def lines(self) -> NDArray[np.int64]:
-        """``(N,)`` the line of the file at or before each frame, from 1."""
+        """``(N,)`` the line of the file at or before each frame, from 1.
+
+        Example:
+            >>> Track([[0, 0, 1], [0.1, 0, 1]], [[1, 0, 0, 0]] * 2).lines.tolist()
+            [1, 2]
+        """
         return read_only(self._native.lines())
 
     @property
     def segments(self) -> NDArray[np.int64]:
-        """``(S, 2)`` first index of each piece, and the index behind its last."""
+        """``(S, 2)`` first index of each piece, and the index behind its last.
+
+        Example:
+            >>> Track([[0, 0, 1], [0.1, 0, 1]], [[1, 0, 0, 0]] * 2).segments.tolist()
+            [[0, 2]]
+        """
         return read_only(self._native.segments())
 
     def placed(self, placement: Placement) -> Track:
@@ -195,27 +225,52 @@ class Flight:
 
     @property
     def time_s(self) -> Array:
-        """``(N,)`` seconds since the first row of the file."""
+        """``(N,)`` seconds since the first row of the file.
+
+        Example:
+            >>> read_flight("flight.txt").time_s[0]  # doctest: +SKIP
+            0.0
+        """
         return read_only(self._native.time())
 
     @property
     def positions(self) -> Array:
-        """``(N, 3)`` metres, world frame."""
+        """``(N, 3)`` metres, world frame.
+
+        Example:
+            >>> read_flight("flight.txt").positions.shape  # doctest: +SKIP
+            (1501, 3)
+        """
         return read_only(self._native.positions())
 
     @property
     def quat_wxyz(self) -> Array:
-        """``(N, 4)`` ``world_from_body``, scalar first; neighbours are on one side."""
+        """``(N, 4)`` ``world_from_body``, scalar first; neighbours are on one side.
+
+        Example:
+            >>> read_flight("flight.txt").quat_wxyz.shape  # doctest: +SKIP
+            (1501, 4)
+        """
         return read_only(self._native.quat_wxyz())
 
     @property
     def lines(self) -> NDArray[np.int64]:
-        """``(N,)`` lines of the file, from 1."""
+        """``(N,)`` lines of the file, from 1.
+
+        Example:
+            >>> read_flight("flight.txt").lines[0]  # doctest: +SKIP
+            2
+        """
         return read_only(self._native.lines())
 
     @property
     def segments(self) -> NDArray[np.int64]:
-        """``(S, 2)`` first row of each piece, and the row behind its last."""
+        """``(S, 2)`` first row of each piece, and the row behind its last.
+
+        Example:
+            >>> read_flight("flight.txt").segments.tolist()  # doctest: +SKIP
+            [[0, 1501]]
+        """
         return read_only(self._native.segments())
 
     def resample(self, rate_hz: float = RATE_HZ) -> Track:

@@ -116,9 +116,9 @@ def _rules(group: argparse._ArgumentGroup) -> None:
     text = "whether a move or a turn is enough, or it takes both [any]"
     add("--motion", choices=("any", "all"), default=rules.motion, help=text)
     add("--stride", type=int, default=rules.stride, metavar="N", help="frames from t to t + 1 [1]")
-    text = "edge of the cube about the anchor, where the view begins [0.4]"
+    text = "edge of the cube about the anchor, where the view begins [0.5]"
     add("--anchor-cube", type=float, default=rules.anchor_cube_m, metavar="M", help=text)
-    text = "edge of the cube about the drone, at which the view looks [0.3]"
+    text = "edge of the cube about the drone, at which the view looks [0.6]"
     add("--drone-cube", type=float, default=rules.drone_cube_m, metavar="M", help=text)
     text = "of the image at each edge, where the drone's centroid may not be [0.15]"
     add("--border", type=float, default=rules.border, metavar="SHARE", help=text)

@@ -94,12 +94,13 @@ def draw_poses(table: PlanTable, path: str | os.PathLike[str]) -> None:
             sides = [(edge - camera[centre]) / camera[focal] for edge in (0, camera[size])]
             reach = max(abs(side) for side in sides) * z_end
         area = [[-reach, reach], [0, z_end]]
-        _, _, _, image = axes.hist2d(t[:, k], t[:, 2], bins=60, range=area, cmap=_DENSITY)
+        _, _, _, image = axes.hist2d(t[:, k], t[:, 2], bins=40, range=area, cmap=_DENSITY)
         if camera:
             for side in sides:
                 axes.plot([0, side * z_end], [0, z_end], color="white", linewidth=0.8)
         axes.set_xlabel(f"{name} (m)" + (", down" if name == "y" else ", right"))
         axes.set_ylabel("z (m), forward")
+        axes.locator_params(axis="x", nbins=5)
         figure.colorbar(image, ax=axes, label="samples", shrink=0.85)
     angles = yaw_pitch_roll_deg(R, rules.get("model_axes", "flu"))
     bins = np.arange(-180, 181, 5)
@@ -108,7 +109,7 @@ def draw_poses(table: PlanTable, path: str | os.PathLike[str]) -> None:
     right.set_yscale("symlog", linthresh=10)
     right.set_xlim(-180, 180)
     right.set_xticks(range(-180, 181, 60))
-    right.set_xlabel("degrees in the camera's frame; 0: nose away from it")
+    right.set_xlabel("degrees (0: nose away from the camera)")
     right.set_ylabel("samples in 5 degrees")
     right.legend(loc="upper right", frameon=False)
     figure.suptitle(f"{_name(table)}{len(table)} samples", fontsize=11)

@@ -67,8 +67,8 @@ class Rules:
     max_move_m: float = 0.5
     max_turn_deg: float = 20.0
     motion: Literal["any", "all"] = "any"
-    anchor_cube_m: float = 0.4
-    drone_cube_m: float = 0.3
+    anchor_cube_m: float = 0.5
+    drone_cube_m: float = 0.6
     border: float = 0.15
     exo: Camera = EXO
     ego: Camera = EGO
@@ -140,7 +140,12 @@ class FunnelStep:
 
     @property
     def left(self) -> int:
-        """Poses that it left."""
+        """Poses that it left.
+
+        Example:
+            >>> FunnelStep("distance", "section 3", 10, 4, "0.8 to 1.5 m").left
+            6
+        """
         return self.came_in - self.removed
 
 

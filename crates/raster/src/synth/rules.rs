@@ -102,8 +102,8 @@ impl Default for Rules {
             max_move_m: 0.5,
             max_turn_deg: 20.0,
             motion: Motion::Any,
-            anchor_cube_m: 0.4,
-            drone_cube_m: 0.3,
+            anchor_cube_m: 0.5,
+            drone_cube_m: 0.6,
             border: 0.15,
             exo: Camera { fx: f, fy: f, cx: 160.0, cy: 120.0, skew: 0.0, width: 320, height: 240 },
             ego_down_deg: 0.0,
@@ -326,12 +326,12 @@ mod tests {
         for frame in 0..n {
             let (eye, target) = draw_view(&rules, frame, anchor, drone);
             let (a, d) = (eye - anchor, target - drone);
-            assert!(a.abs().max_element() <= 0.2 && d.abs().max_element() <= 0.15);
+            assert!(a.abs().max_element() <= 0.25 && d.abs().max_element() <= 0.3);
             (low, high, sum) = (low.min(a), high.max(a), sum + a);
         }
-        assert!(low.max_element() < -0.199 && high.min_element() > 0.199, "{low} {high}");
-        // Standard error 0.4 / sqrt(12 n) = 0.0018.
-        assert!((sum / n as f64).abs().max_element() < 0.008);
+        assert!(low.max_element() < -0.249 && high.min_element() > 0.249, "{low} {high}");
+        // Standard error 0.5 / sqrt(12 n) = 0.0023.
+        assert!((sum / n as f64).abs().max_element() < 0.01);
         let again = draw_view(&rules, 17, anchor, drone);
         assert_eq!(again, draw_view(&rules, 17, anchor, drone));
         assert_ne!(again, draw_view(&Rules { seed: 6, ..rules }, 17, anchor, drone));
