@@ -56,7 +56,9 @@ def wandering(seed, n=400):
     speed = rng.uniform(0.005, 0.05, (n, 1)) * (rng.random((n, 1)) > 0.1)
     steps = rng.normal(size=(n, 3)) * [1, 1, 0.3]
     p = np.cumsum(speed * steps / np.linalg.norm(steps, axis=1, keepdims=True), axis=0)
-    turns = rng.normal(size=(n, 3)) * rng.choice([0.0, 0.004, 0.02, 0.3], p=[0.1, 0.4, 0.45, 0.05], size=(n, 1))
+    turns = rng.normal(size=(n, 3)) * rng.choice(
+        [0.0, 0.004, 0.02, 0.3], p=[0.1, 0.4, 0.45, 0.05], size=(n, 1)
+    )
     q = [np.array([1.0, 0, 0, 0])]
     for v in turns[1:]:
         w = np.array([1.0, *(v / 2)])
@@ -375,6 +377,12 @@ def test_broken_plans_are_refused_by_line(demo, tmp_path):
         path.write_text(content)
         with pytest.raises(ValueError, match=message):
             read_plan(path)
+    path.write_bytes(b"\xff" + text.encode())
+    with pytest.raises(ValueError, match=r"plan\.csv: found bytes that are not UTF-8"):
+        read_plan(path)
+    path.write_text(lines[0] + "\n" + "x" * 200_000)
+    with pytest.raises(ValueError, match=r"plan\.csv:2: found"):
+        read_plan(path)
     path.write_text(text)
     assert read_plan(path).manifest == {}
     for content in ("{", "[]", '{"format": "other"}'):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,9 +67,10 @@ def main(argv: Sequence[str]) -> int:
         args = _parser().parse_args(list(argv))
     except SystemExit as end:
         return int(end.code or 0)
-    run: Callable[[argparse.Namespace], int] = args.run
+    run: Callable[[argparse.Namespace, Stages], int] = args.run
     try:
-        return run(args)
+        with Stages() as stage:
+            return run(args, stage)
     except (ImportError, OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -78,22 +80,46 @@ def main(argv: Sequence[str]) -> int:
 
 
 class Stages:
-    """Says on standard error what goes on, once two seconds have passed."""
+    """Says on standard error what goes on, from two seconds after the beginning.
+
+    Example:
+        >>> with Stages() as stage:
+        ...     stage("reading")
+    """
 
     def __init__(self) -> None:
         self._begin = time.monotonic()
+        self._text = "starting"
+        self._lock = threading.Lock()
+        # The work is native and lets other threads run.
+        self._timer = threading.Timer(2.0, self._say)
+        self._timer.daemon = True
+
+    def __enter__(self) -> Stages:
+        """Begin."""
+        self._timer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End, said or not."""
+        self._timer.cancel()
 
     def __call__(self, text: str) -> None:
         """Begin a stage."""
-        passed = time.monotonic() - self._begin
-        if passed >= 2:
-            print(f"{passed:.0f} s: {text}", file=sys.stderr, flush=True)
+        with self._lock:
+            self._text = text
+        if time.monotonic() - self._begin >= 2:
+            self._say()
+
+    def _say(self) -> None:
+        with self._lock:
+            seconds = time.monotonic() - self._begin
+            print(f"{seconds:.0f} s: {self._text}", file=sys.stderr, flush=True)
 
 
-def _plan(args: argparse.Namespace) -> int:
+def _plan(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import Placement, make_plan, read_anchors, read_flight, read_splits
 
-    stage = Stages()
     split = None
     scene = args.scene
     if scene is None and args.anchors.name.endswith("_connectivity.json"):
@@ -206,12 +232,12 @@ def _rules(args: argparse.Namespace) -> Any:
     )
 
 
-def _report(args: argparse.Namespace) -> int:
+def _report(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import draw_map, draw_poses, read_plan
 
     table = read_plan(args.plan, args.manifest)
     args.out.mkdir(parents=True, exist_ok=True)
-    stage = Stages()
+    stage("drawing the poses")
     written = [args.out / "poses.png"]
     draw_poses(table, written[0])
     if table.manifest:
@@ -227,10 +253,11 @@ def _report(args: argparse.Namespace) -> int:
     return 0
 
 
-def _anchors(args: argparse.Namespace) -> int:
+def _anchors(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.mesh import Mesh
     from dronepose.synth import sample_free_space
 
+    stage("reading the mesh")
     mesh = None if args.mesh is None else Mesh.from_file(args.mesh)
     low, high = args.low, args.high
     if mesh is None and (low is None or high is None):
@@ -238,6 +265,7 @@ def _anchors(args: argparse.Namespace) -> int:
     if mesh is not None:
         low = mesh.vertices.min(axis=0) if low is None else low
         high = mesh.vertices.max(axis=0) if high is None else high
+    stage("looking for free space")
     anchors = sample_free_space(
         low,
         high,
@@ -256,9 +284,10 @@ def _anchors(args: argparse.Namespace) -> int:
     return 0
 
 
-def _example(args: argparse.Namespace) -> int:
+def _example(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import write_example
 
+    stage("writing")
     paths = write_example(args.out)
     if args.json:
         print(json.dumps({name: str(path) for name, path in paths.items()}))

@@ -29,6 +29,7 @@ from dronepose.synth.rules import Funnel, FunnelStep, Rules
 
 if TYPE_CHECKING:
     import os
+    from collections.abc import Iterator
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -325,8 +326,8 @@ def read_plan(
         0.801
     """
     source = Path(path)
-    reader = csv.reader(io.StringIO(source.read_text(encoding="utf-8"), newline=""))
-    header = next(reader, [])
+    reader = csv.reader(io.StringIO(_text(source), newline=""))
+    header = next(_rows(reader, source), [])
     wanted = ["id", "anchor", *_native.Plan.columns()]
     if header != wanted:
         absent = [name for name in wanted if name not in header]
@@ -337,7 +338,7 @@ def read_plan(
     ids: list[str] = []
     anchors: list[str] = []
     values: list[list[float]] = []
-    for row in reader:
+    for row in _rows(reader, source):
         place = f"{source}:{reader.line_num}"
         if len(row) != len(wanted):
             raise ValueError(f"{place}: found {len(row)} fields, expected {len(wanted)}")
@@ -349,6 +350,24 @@ def read_plan(
     array = np.array(values)
     columns = {name: array[:, k] for k, name in enumerate(wanted[2:])}
     return PlanTable(ids, anchors, columns, _manifest(source, manifest))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: found bytes that are not UTF-8, expected text") from None
+
+
+def _rows(reader: Any, source: Path) -> Iterator[list[str]]:
+    """The rows that are left; what the csv module refuses is refused with the line."""
+    while True:
+        try:
+            yield next(reader)
+        except StopIteration:
+            return
+        except csv.Error as error:
+            raise ValueError(f"{source}:{reader.line_num}: found a broken row: {error}") from None
 
 
 def _number(cell: str, place: str, column: str) -> float:
@@ -366,8 +385,8 @@ def _manifest(source: Path, given: str | os.PathLike[str] | None) -> dict[str, A
     if given is None and not path.is_file():
         return {}
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+        found = json.loads(_text(path))
+    except json.JSONDecodeError as error:
         raise ValueError(f"{path}: found JSON with {error}, expected a manifest") from None
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise ValueError(f"{path}: found no format {FORMAT!r}, expected the manifest of a plan")
