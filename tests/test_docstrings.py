@@ -11,7 +11,7 @@ import signal
 import pytest
 
 import dronepose
-from dronepose import geometry, metrics, render
+from dronepose import geometry, metrics, render, synth
 from support import ROOT
 
 MODULES = sorted(
@@ -24,6 +24,7 @@ PUBLIC = {
     **{f"metrics.{name}": getattr(metrics, name) for name in metrics.__all__},
     **{f"geometry.{name}": getattr(geometry, name) for name in geometry.__all__},
     **{f"render.{name}": getattr(render, name) for name in render.__all__},
+    **{f"synth.{name}": getattr(synth, name) for name in synth.__all__},
 }
 if importlib.util.find_spec("torch"):
     PUBLIC |= {f"torch.{n}": getattr(dronepose.torch, n) for n in dronepose.torch.__all__}

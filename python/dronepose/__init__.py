@@ -62,6 +62,7 @@ _MODULES = frozenset(
         "metrics",
         "model",
         "render",
+        "synth",
         "torch",
         "train",
     }

@@ -3,17 +3,20 @@
 import os
 from typing import Any, final
 
-from numpy import float32, float64, int32, uint8, uint32
+from numpy import float32, float64, int32, int64, uint8, uint32
 from numpy.typing import NDArray
 
 __all__ = [
     "Environment",
+    "Flight",
     "Mesh",
     "MeshError",
     "Model",
+    "Plan",
     "Symmetries",
     "Texture",
     "Traces",
+    "Track",
     "__version__",
     "add",
     "add_passes",
@@ -23,6 +26,7 @@ __all__ = [
     "colours",
     "evaluate",
     "flow",
+    "free_space",
     "gbuffer",
     "mask_loss",
     "matrix_from_6d",
@@ -34,12 +38,14 @@ __all__ = [
     "orientation_error",
     "projection",
     "quat_wxyz_from_matrix",
+    "read_anchors",
     "scale_images",
     "signed_distance",
     "silhouette",
     "silhouette_gradients",
     "srgb_bytes",
     "symmetric_orientation_error",
+    "synth_defaults",
     "translation_error",
 ]
 
@@ -345,3 +351,98 @@ def signed_distance(
     threads: int,
 ) -> None:
     """Pixels to the outlines of ``(B, H, W)`` masks, negative inside."""
+
+@final
+class Flight:
+    """A flight in our frames, cleaned and cut; ``world_from_body``."""
+
+    @staticmethod
+    def read(path: str | os.PathLike[str], options: str) -> Flight:
+        """From a file; the options as JSON."""
+    def facts(self) -> str:
+        """Source, conventions and issues as JSON."""
+    def time(self) -> NDArray[float64]:
+        """``(N,)`` seconds."""
+    def positions(self) -> NDArray[float64]:
+        """``(N, 3)`` metres."""
+    def quat_wxyz(self) -> NDArray[float64]:
+        """``(N, 4)``."""
+    def lines(self) -> NDArray[int64]:
+        """``(N,)`` lines of the file, from 1."""
+    def segments(self) -> NDArray[int64]:
+        """``(S, 2)`` first row and row behind the last."""
+    def resample(self, rate_hz: float) -> Track:
+        """At a steady rate."""
+
+@final
+class Track:
+    """A flight at a steady rate."""
+
+    def __new__(
+        cls, rate_hz: float, positions: NDArray[float64], quat_wxyz: NDArray[float64]
+    ) -> Track: ...
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second."""
+    def frames(self) -> NDArray[int64]:
+        """``(N,)`` numbers of the frames."""
+    def positions(self) -> NDArray[float64]:
+        """``(N, 3)`` metres."""
+    def quat_wxyz(self) -> NDArray[float64]:
+        """``(N, 4)``."""
+    def lines(self) -> NDArray[int64]:
+        """``(N,)`` lines of the file, from 1."""
+    def segments(self) -> NDArray[int64]:
+        """``(S, 2)`` first frame and frame behind the last."""
+    def fit(self, anchors: NDArray[float64], placement: str, how: str) -> str:
+        """A placement by the anchors, as JSON."""
+    def placed(self, placement: str) -> Track:
+        """Carried into a scene."""
+
+@final
+class Plan:
+    """Samples, and the funnel that led to them."""
+
+    @staticmethod
+    def make(
+        track: Track, anchors: NDArray[float64], names: list[str], rules: str, threads: int
+    ) -> Plan:
+        """The rules over a flight."""
+    @staticmethod
+    def columns() -> list[str]:
+        """Names of the columns of numbers."""
+    def values(self) -> NDArray[float64]:
+        """``(N, C)``."""
+    def ids(self) -> list[str]:
+        """``N`` ids."""
+    def anchors(self) -> list[str]:
+        """The names of the anchors of the samples."""
+    def funnel(self) -> str:
+        """The steps as JSON."""
+    def only(self, keep: list[bool]) -> Plan:
+        """The samples of which ``keep`` is true."""
+    def write(
+        self, csv: str | os.PathLike[str], manifest: str | os.PathLike[str], text: str
+    ) -> None:
+        """The plan and its manifest, both or none."""
+    def __len__(self) -> int: ...
+
+def read_anchors(
+    path: str | os.PathLike[str], options: str
+) -> tuple[list[str], NDArray[float64], str]:
+    """Names, ``(A, 3)`` metres, facts as JSON."""
+
+def free_space(
+    mesh: Mesh | None,
+    low: list[float],
+    high: list[float],
+    count: int,
+    clearance_m: float,
+    spacing_m: float,
+    seed: int,
+    threads: int,
+) -> NDArray[float64]:
+    """Points in free space, ``(count, 3)`` metres."""
+
+def synth_defaults() -> str:
+    """The settings of flights and rules as JSON."""

@@ -5,10 +5,11 @@
 //! order (`quat_wxyz`, `quat_xyzw`).
 //!
 //! Silhouettes and their gradients are in [`raster`], losses that compare them in [`losses`], depth,
-//! normals and optical flow in [`gbuffer`], pose errors in [`metrics`].
+//! normals and optical flow in [`gbuffer`], pose errors in [`metrics`], flights, anchors and the rules that
+//! make samples of them in [`synth`].
 //!
-//! Layers, each of which knows only those before it: `error rotation pose camera threads mesh`, then
-//! `raster`, then `losses` and `gbuffer`, then `metrics`, then `io`, then `eval`, then `report` and
+//! Layers, each of which knows only those before it: `error rotation pose camera threads random mesh`, then
+//! `raster`, then `losses` and `gbuffer`, then `metrics`, then `io`, then `eval` and `synth`, then `report` and
 //! `draw`, then `cli`, then `python`.
 
 pub mod camera;
@@ -26,10 +27,12 @@ pub mod metrics;
 pub mod pose;
 #[cfg(feature = "python")]
 mod python;
+pub mod random;
 pub mod raster;
 pub mod report;
 pub mod rotation;
 pub mod shade;
+pub mod synth;
 pub mod threads;
 
 pub use error::{Error, Place, Result};

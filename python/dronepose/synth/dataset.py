@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Mapping
 
-    from dronepose.synth.plan import PlanTable
     from numpy.typing import NDArray
 
     from dronepose.camera import Camera
     from dronepose.render import Environment, Flow
+    from dronepose.synth.plan import PlanTable
     from dronepose.synth.studio import Frame, Studio
 
     Array = NDArray[np.float64]

@@ -12,6 +12,7 @@ use dronepose_raster::io::obj::parse_obj;
 use dronepose_raster::io::ply::parse_ply;
 use dronepose_raster::io::stl::parse_stl;
 use dronepose_raster::io::{Format, PoseOptions, PoseTable, Unit, parse_poses};
+use dronepose_raster::synth::{anchors as places, flight as flights};
 use dronepose_raster::{Mesh, Pose};
 
 /// The file's name.
@@ -21,7 +22,7 @@ const NAME: &str = "fuzz";
 pub type Parser = fn(&[u8]);
 
 /// Every parser by the name of its target and of its corpus.
-pub const TARGETS: [(&str, Parser); 9] = [
+pub const TARGETS: [(&str, Parser); 11] = [
     ("poses_auto", poses_auto),
     ("poses_csv", poses_csv),
     ("poses_bop", poses_bop),
@@ -31,6 +32,8 @@ pub const TARGETS: [(&str, Parser); 9] = [
     ("mesh_obj", mesh_obj),
     ("mesh_ply", mesh_ply),
     ("mesh_stl", mesh_stl),
+    ("flight", flight),
+    ("anchors", anchors),
 ];
 
 /// Any bytes as a pose file whose format is recognised.
@@ -99,6 +102,33 @@ pub fn mesh_ply(bytes: &[u8]) {
 /// Any bytes as an STL file.
 pub fn mesh_stl(bytes: &[u8]) {
     mesh(parse_stl(bytes, NAME));
+}
+
+/// Any bytes as a flight, by its first line and in every format.
+pub fn flight(bytes: &[u8]) {
+    use flights::Format;
+    for format in
+        [Format::Auto, Format::Uava, Format::Airsim, Format::Tum, Format::Euroc, Format::Csv]
+    {
+        let options = flights::Options { format, ..flights::Options::default() };
+        let parsed = flights::parse_flight(NAME, bytes.to_vec(), &options);
+        let Some(flight) = accepted(parsed) else { continue };
+        assert!(flight.time.windows(2).all(|w| w[0] < w[1]) && !flight.segments.is_empty());
+        flight.issues.iter().for_each(|i| one_line(&i.text));
+        if let Ok(track) = flight.resample(60.0) {
+            for (p, q) in track.positions.iter().zip(&track.rotations) {
+                sound(&Pose::new(*q, *p));
+            }
+        }
+    }
+}
+
+/// Any bytes as anchors.
+pub fn anchors(bytes: &[u8]) {
+    let parsed = places::parse_anchors(NAME, bytes.to_vec(), places::Options::default());
+    let Some(found) = accepted(parsed) else { return };
+    assert!(!found.names.is_empty() && found.names.len() == found.positions.len());
+    assert!(found.positions.iter().all(|p| p.is_finite()));
 }
 
 fn poses(bytes: &[u8], options: &PoseOptions) {

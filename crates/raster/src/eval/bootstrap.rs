@@ -5,11 +5,12 @@
 //! depend on the number of threads.
 
 use rand_pcg::Pcg64Mcg;
-use rand_pcg::rand_core::{Rng, SeedableRng};
+use rand_pcg::rand_core::Rng;
 use rayon::prelude::*;
 
 use crate::eval::results::{Difference, Interval};
 use crate::eval::summary::{mean, quantiles};
+use crate::random::generator;
 
 /// Columns over the ground truth: values of the matched samples, and how many are missing.
 #[derive(Debug, Clone, Default)]
@@ -103,12 +104,6 @@ pub fn paired(differences: &[f64], resamples: usize, seed: u64) -> Option<Differ
 
 fn interval(mut means: Vec<f64>) -> Option<Interval> {
     (!means.is_empty()).then(|| quantiles(&mut means, [0.025, 0.975]))
-}
-
-/// The generator of resample `r`: PCG, whose stream is fixed by its definition.
-fn generator(seed: u64, r: u64) -> Pcg64Mcg {
-    // SplitMix64's increment spreads neighbouring resamples over the seed space.
-    Pcg64Mcg::seed_from_u64(seed ^ (r + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
 }
 
 /// Uniform in `0..n` (Lemire's multiply-shift; its bias of n / 2^64 is far below the noise).

@@ -12,6 +12,7 @@ mod mesh;
 mod metrics;
 mod shade;
 mod silhouette;
+mod synth;
 
 #[pyo3::pymodule(gil_used = false)]
 mod _native {
@@ -37,6 +38,8 @@ mod _native {
     use super::shade::{PyEnvironment, PyTexture, colours, srgb_bytes};
     #[pymodule_export]
     use super::silhouette::{PyModel, PyTraces, silhouette, silhouette_gradients};
+    #[pymodule_export]
+    use super::synth::{PyFlight, PyPlan, PyTrack, free_space, read_anchors, synth_defaults};
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "the name that Python gives it")]

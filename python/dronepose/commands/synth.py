@@ -1,0 +1,342 @@
+"""Make training data: plan samples from a flight and a scene's anchors, and look at them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+EXAMPLE = """\
+examples:
+  dronepose synth example demo
+  dronepose synth plan --flight demo/flight.txt --anchors demo/anchors.csv --out demo/plan.csv
+  dronepose synth report demo/plan.csv --out demo
+"""
+PLAN = """\
+examples:
+  dronepose synth plan --flight demo/flight.txt --anchors demo/anchors.csv --out demo/plan.csv
+  dronepose synth plan --flight airsim_rec.txt --max-gap 2 --anchors hall_connectivity.json \\
+      --fit centre --scene hall --splits splits --out hall.csv
+  dronepose synth plan --flight flight.csv --body-axes frd --world ned --anchors anchors.csv \\
+      --mesh drone.obj --model-axes luf --seed 1 --out plan.csv
+  dronepose render drone.obj plan.csv --camera 252.7,252.7,160,120,320,240 --out drawn
+
+World frame: metres, z up, right-handed. Body frame: x forward, y left, z up.
+plan.csv has a row for each sample; its id,qw..qz,tx..tz is the drone in the exocentric camera, as
+dronepose render and dronepose-eval read it. plan.json is the manifest.
+"""
+ANCHORS = """\
+examples:
+  dronepose synth anchors --low 0 0 1.2 --high 9 6 1.8 --count 20 --out anchors.csv
+  dronepose synth anchors --mesh house.obj --count 40 --clearance 0.6 --out anchors.csv
+
+Points are uniform in the box (by default that of the mesh, which is in metres with z up), as far
+from its surface and from one another as is asked for. Outside of a closed scene is as free as
+inside: the box says where to look.
+"""
+REPORT = """\
+example:
+  dronepose synth report demo/plan.csv --out demo
+
+Writes poses.png (density in the exocentric camera, yaw, pitch, roll) and, if there is a manifest,
+map.png (flight, anchors and pairs from above).
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run ``dronepose synth``.
+
+    Args:
+        argv: The arguments after the subcommand.
+
+    Returns:
+        0 done, 1 an input was refused, 2 the command line was not understood.
+
+    Example:
+        >>> main(["plan", "--help"])  # doctest: +SKIP
+        0
+    """
+    try:
+        args = _parser().parse_args(list(argv))
+    except SystemExit as end:
+        return int(end.code or 0)
+    run: Callable[[argparse.Namespace, Stages], int] = args.run
+    try:
+        with Stages() as stage:
+            return run(args, stage)
+    except (ImportError, OSError, ValueError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stopped; nothing was written", file=sys.stderr)
+        return 130
+
+
+class Stages:
+    """Says on standard error what goes on, from two seconds after the beginning.
+
+    Example:
+        >>> with Stages() as stage:
+        ...     stage("reading")
+    """
+
+    def __init__(self) -> None:
+        self._begin = time.monotonic()
+        self._text = "starting"
+        self._lock = threading.Lock()
+        # The work is native and lets other threads run.
+        self._timer = threading.Timer(2.0, self._say)
+        self._timer.daemon = True
+
+    def __enter__(self) -> Stages:
+        """Begin."""
+        self._timer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End, said or not."""
+        self._timer.cancel()
+
+    def __call__(self, text: str) -> None:
+        """Begin a stage."""
+        with self._lock:
+            self._text = text
+        if time.monotonic() - self._begin >= 2:
+            self._say()
+
+    def _say(self) -> None:
+        with self._lock:
+            seconds = time.monotonic() - self._begin
+            print(f"{seconds:.0f} s: {self._text}", file=sys.stderr, flush=True)
+
+
+def _plan(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth import Placement, make_plan, read_anchors, read_flight, read_splits
+
+    split = None
+    scene = args.scene
+    if scene is None and args.anchors.name.endswith("_connectivity.json"):
+        scene = args.anchors.name.removesuffix("_connectivity.json")
+    if args.splits is not None:
+        if not scene:
+            raise ValueError("--splits: expected --scene NAME with it")
+        split = read_splits(args.splits).split_of(scene)
+    rules = _rules(args)
+    stage("reading the flight")
+    flight = read_flight(
+        args.flight,
+        format=args.flight_format,
+        world=args.world,
+        body_axes=args.body_axes,
+        quaternion=args.quaternion,
+        time_unit=args.time_unit,
+        mount_rpy_deg=args.mount_rpy,
+        vehicle=args.vehicle,
+        source_rate_hz=args.source_rate,
+        min_step_s=args.min_step,
+        max_gap_s=args.max_gap,
+        max_speed_m_s=args.max_speed,
+        max_turn_deg_s=args.max_turn_rate,
+    )
+    stage("reading the anchors")
+    anchors = read_anchors(
+        args.anchors, format=args.anchors_format, include_excluded=args.all_anchors
+    )
+    stage("applying the rules")
+    plan = make_plan(
+        flight,
+        anchors,
+        rules,
+        rate_hz=args.rate,
+        placement=Placement(args.scale, args.yaw, tuple(args.offset)),
+        fit=None if args.fit == "none" else args.fit,
+        scene=scene or "",
+        split=split,
+        threads=args.threads,
+    )
+    text = _describe(flight.describe(), anchors.describe(), plan)
+    if not len(plan):
+        print(text, file=sys.stderr)
+        worst = max(plan.funnel.steps, key=lambda step: step.removed)
+        raise ValueError(
+            f"no sample is left: rule {worst.rule} removed {worst.removed} poses of "
+            f"{worst.came_in}; nothing was written"
+            + (" (--fit brings the flight over the anchors)" if args.fit == "none" else "")
+        )
+    stage("writing")
+    manifest = plan.write(args.out, args.manifest)
+    if args.json:
+        facts = plan.manifest()
+        del facts["map"]
+        print(json.dumps({"plan": str(args.out), "manifest": str(manifest), **facts}, indent=2))
+    else:
+        print(f"{text}\n{len(plan)} samples in {args.out}, manifest {manifest}")
+    return 0
+
+
+def _describe(flight: str, anchors: str, plan: Any) -> str:
+    place = plan.facts["placement"]
+    x, y, z = place["offset"]
+    fit = f" (fit {place['fit']})" if place["fit"] else ""
+    return "\n".join(
+        [
+            flight,
+            anchors,
+            f"placed{fit}: scale {place['scale']:.4g}, yaw {place['yaw_deg']:g} degrees, "
+            f"offset {x:.3f} {y:.3f} {z:.3f} m; {plan.facts['frames']} frames at "
+            f"{plan.facts['rate_hz']:g} Hz",
+            "",
+            str(plan.funnel),
+        ]
+    )
+
+
+def _rules(args: argparse.Namespace) -> Any:
+    from dronepose.camera import Camera
+    from dronepose.synth import Rules
+
+    exo = args.camera or Camera.from_fov(*args.size, horizontal_deg=args.fov)
+    centroid = args.centroid
+    if args.mesh is not None:
+        if centroid is not None:
+            raise ValueError("--mesh, --centroid: expected one of the two")
+        from dronepose.mesh import Mesh
+
+        vertices = Mesh.from_file(args.mesh).vertices
+        centroid = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    return Rules(
+        seed=args.seed,
+        min_distance_m=args.distance[0],
+        max_distance_m=args.distance[1],
+        stride=args.stride,
+        min_move_m=args.move[0],
+        max_move_m=args.move[1],
+        min_turn_deg=args.turn[0],
+        max_turn_deg=args.turn[1],
+        motion=args.motion,
+        anchor_cube_m=args.anchor_cube,
+        drone_cube_m=args.drone_cube,
+        border=args.border,
+        exo=exo,
+        ego_down_deg=args.ego_down,
+        ego_offset_m=tuple(args.ego_offset),
+        model_axes=args.model_axes,
+        centroid_m=(0.0, 0.0, 0.0) if centroid is None else tuple(map(float, centroid)),
+    )
+
+
+def _report(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth import draw_map, draw_poses, read_plan
+
+    table = read_plan(args.plan, args.manifest)
+    args.out.mkdir(parents=True, exist_ok=True)
+    stage("drawing the poses")
+    written = [args.out / "poses.png"]
+    draw_poses(table, written[0])
+    if table.manifest:
+        stage("drawing the map")
+        written.append(args.out / "map.png")
+        draw_map(table, written[1])
+    else:
+        print("no manifest beside the plan, so no map", file=sys.stderr)
+    if args.json:
+        print(json.dumps({"samples": len(table), "files": [str(path) for path in written]}))
+    else:
+        print(f"{len(table)} samples: {', '.join(map(str, written))}")
+    return 0
+
+
+def _anchors(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.mesh import Mesh
+    from dronepose.synth import sample_free_space
+
+    stage("reading the mesh")
+    mesh = None if args.mesh is None else Mesh.from_file(args.mesh)
+    low, high = args.low, args.high
+    if mesh is None and (low is None or high is None):
+        raise ValueError("--low, --high: expected both, or --mesh")
+    if mesh is not None:
+        low = mesh.vertices.min(axis=0) if low is None else low
+        high = mesh.vertices.max(axis=0) if high is None else high
+    stage("looking for free space")
+    anchors = sample_free_space(
+        low,
+        high,
+        args.count,
+        mesh=mesh,
+        clearance_m=args.clearance,
+        spacing_m=args.spacing,
+        seed=args.seed,
+        threads=args.threads,
+    )
+    anchors.write_csv(args.out)
+    if args.json:
+        print(json.dumps({"anchors": str(args.out), "count": len(anchors), "seed": args.seed}))
+    else:
+        print(f"{len(anchors)} anchors in {args.out}")
+    return 0
+
+
+def _example(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth import write_example
+
+    stage("writing")
+    paths = write_example(args.out)
+    if args.json:
+        print(json.dumps({name: str(path) for name, path in paths.items()}))
+    else:
+        print(f"{paths['flight']} (TUM), {paths['anchors']}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="dronepose synth",
+        description=__doc__,
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(name: str, text: str, epilog: str, run: Any) -> argparse.ArgumentParser:
+        made = commands.add_parser(
+            name,
+            help=text,
+            description=f"{text[0].upper()}{text[1:]}.",
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        made.set_defaults(run=run)
+        made.add_argument("--json", action="store_true", help="say what was done as JSON")
+        return made
+
+    _plan_options(command("plan", "choose samples of a flight in a scene", PLAN, _plan))
+    report = command("report", "draw the poses of a plan, and a map", REPORT, _report)
+    report.add_argument("plan", type=Path, metavar="PLAN", help="plan.csv")
+    report.add_argument("--manifest", type=Path, metavar="FILE", help="[plan.json beside it]")
+    report.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    _anchor_options(
+        command("anchors", "choose places in the free space of a scene", ANCHORS, _anchors)
+    )
+    example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
+    example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")
+    return parser
+
+
+def _plan_options(parser: argparse.ArgumentParser) -> None:
+    from dronepose.synth.options import add_plan_options
+
+    add_plan_options(parser)
+
+
+def _anchor_options(parser: argparse.ArgumentParser) -> None:
+    from dronepose.synth.options import add_anchor_options
+
+    add_anchor_options(parser)
