@@ -18,6 +18,8 @@ examples:
   dronepose synth example demo
   dronepose synth plan --flight demo/flight.txt --anchors demo/anchors.csv --out demo/plan.csv
   dronepose synth report demo/plan.csv --out demo
+  dronepose synth render demo/plan.csv --out demo/data
+  dronepose synth sheet demo/data --out demo/sheet.png
 """
 PLAN = """\
 examples:
@@ -40,6 +42,20 @@ examples:
 Points are uniform in the box (by default that of the mesh, which is in metres with z up), as far
 from its surface and from one another as is asked for. Outside of a closed scene is as free as
 inside: the box says where to look.
+"""
+RENDER = """\
+examples:
+  dronepose synth render demo/plan.csv --out demo/data
+  dronepose synth render house.csv --scene small_house/placements.csv --drone DJI.obj \\
+      --panoramas hdri --building house --split train --out data
+  dronepose synth render house.csv --scene house.glb --shard 3/16 --out data
+
+The same command goes on where it was stopped. The layout is UAVA's: dronepose train reads it with
+--data.kind uava. Pictures depend on the plan, the inputs and --seed alone.
+"""
+SHEET = """\
+example:
+  dronepose synth sheet demo/data --out demo/sheet.png
 """
 REPORT = """\
 example:
@@ -284,6 +300,30 @@ def _anchors(args: argparse.Namespace, stage: Stages) -> int:
     return 0
 
 
+def _render(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth.rendering import render_plan
+
+    made = render_plan(args, stage)
+    if args.json:
+        print(json.dumps({key: value for key, value in made.items() if key != "plan"}, indent=2))
+        return 0
+    rules = ", ".join(f"{s['rule']} {s['removed']}" for s in made.get("rendered_rules", []))
+    state = "" if made["complete"] else "; other shards are missing"
+    kept = f", {made['kept']} kept (removed: {rules})" if made["complete"] else ""
+    print(f"{args.out}: {made['written']} of {made['rows']} rows rendered now{kept}{state}")
+    return 0
+
+
+def _sheet(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose._files import write_bytes
+    from dronepose.synth.sheet import draw_sheet
+
+    stage("drawing")
+    write_bytes(args.out, draw_sheet(args.data, building=args.building, rows=args.rows))
+    print(json.dumps({"file": str(args.out)}) if args.json else args.out)
+    return 0
+
+
 def _example(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import write_example
 
@@ -325,9 +365,21 @@ def _parser() -> argparse.ArgumentParser:
     _anchor_options(
         command("anchors", "choose places in the free space of a scene", ANCHORS, _anchors)
     )
+    _render_options(command("render", "render a plan to a data set", RENDER, _render))
+    sheet = command("sheet", "draw a contact sheet of a rendered data set", SHEET, _sheet)
+    sheet.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
+    sheet.add_argument("--building", metavar="NAME", help="which scene [the first]")
+    sheet.add_argument("--rows", type=int, default=8, metavar="N", help="samples at most [8]")
+    sheet.add_argument("--out", type=Path, required=True, metavar="PNG", help="file to write")
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")
     return parser
+
+
+def _render_options(parser: argparse.ArgumentParser) -> None:
+    from dronepose.synth.options import add_render_options
+
+    add_render_options(parser)
 
 
 def _plan_options(parser: argparse.ArgumentParser) -> None:

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import platform
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,7 @@ from dronepose.synth.encode import (
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -154,14 +155,14 @@ def render_sample(
     facts["hole"] = max(facts["hole"], *(frame.hole for frame in ego))
     if facts["hole"] > settings.most_hole:
         return Sample({}, {**facts, "removed_by": "invalid"})
-    moments = {
+    moments: dict[str, list[tuple[Pose, list[Pose]]]] = {
         "exocentric": [(poses["exo"], drone) for drone in drones],
         "egocentric": [(poses["ego"], []), (poses["ego_next"], [])],
     }
     files = {}
     for (view, moment), camera, frames in zip(moments.items(), cameras, (exo, ego), strict=True):
         for step in (0, 1):
-            flow = studio.flow(camera, moment[step], moment[1 - step])  # type: ignore[arg-type]
+            flow = studio.flow(camera, moment[step], moment[1 - step])
             pictures = _pictures(frames[step], flow, drone=view == "exocentric")
             for modality, image in pictures.items():
                 files[view, modality, step] = png(image)
@@ -208,6 +209,7 @@ def write_dataset(
     settings: RenderSettings | None = None,
     inputs: Mapping[str, Any] | None = None,
     shard: tuple[int, int] = (0, 1),
+    workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Render a plan into a data set, or what is missing of it.
@@ -231,6 +233,7 @@ def write_dataset(
         inputs: What the manifest says of the files that went in.
         shard: ``(k, n)`` renders every n-th row from the k-th on; the shard that finds all records
             there finishes the data set.
+        workers: Threads that render a row each; the studio's own threads are beside these.
         progress: Called with the number of rows that are done and of all.
 
     Returns:
@@ -264,24 +267,41 @@ def write_dataset(
     }
     _begin(root, building, facts)
     records = root / "records" / building
-    written = 0
-    for row in range(len(plan)):
-        record = records / f"{row:06d}.json"
-        if row % n == k and not record.exists():
-            sample = render_sample(studio, plan, row, cameras, environments or {}, settings)
-            for (view, modality, step), content in sample.files.items():
-                name = f"{row}_{date}_{step}_{modality}_{view}_0.png"
-                write_bytes(root / drone / view / modality / building / name, content)
-            write_text(record, json.dumps(sample.facts) + "\n")
-            written += 1
+    missing = [row for row in range(k, len(plan), n) if not (records / f"{row:06d}.json").exists()]
+
+    def work(row: int) -> None:
+        sample = render_sample(studio, plan, row, cameras, environments or {}, settings)
+        for (view, modality, step), content in sample.files.items():
+            name = f"{row}_{date}_{step}_{modality}_{view}_0.png"
+            write_bytes(root / drone / view / modality / building / name, content)
+        write_text(records / f"{row:06d}.json", json.dumps(sample.facts) + "\n")
+
+    for count in _each(work, missing, workers):
         if progress is not None:
-            progress(row + 1, len(plan))
+            progress(len(plan) - len(missing) + count, len(plan))
     done = [records / f"{row:06d}.json" for row in range(len(plan))]
     complete = all(path.exists() for path in done)
     if complete:
         kept = [json.loads(path.read_text(encoding="utf-8")) for path in done]
         facts = _finish(root, facts, kept, plan)
-    return {**facts, "complete": complete, "written": written}
+    return {**facts, "complete": complete, "written": len(missing)}
+
+
+def _each(work: Callable[[int], None], rows: list[int], workers: int) -> Iterator[int]:
+    """Work on every row, by several threads; how many are done. The first error ends it."""
+    if workers <= 1:
+        for count, row in enumerate(rows, 1):
+            work(row)
+            yield count
+        return
+    pool = ThreadPoolExecutor(workers)
+    try:
+        futures = [pool.submit(work, row) for row in rows]
+        for count, future in enumerate(as_completed(futures), 1):
+            future.result()
+            yield count
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _begin(root: Path, building: str, facts: dict[str, Any]) -> None:

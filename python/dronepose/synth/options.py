@@ -185,3 +185,45 @@ def camera(text: str) -> Camera:
         raise argparse.ArgumentTypeError(
             f"expected fx,fy,cx,cy,W,H, got {text!r}: {error}"
         ) from None
+
+
+def add_render_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``dronepose synth render``.
+
+    Args:
+        parser: The parser.
+    """
+    add = parser.add_argument
+    add("plan", type=Path, metavar="PLAN", help="plan.csv, with its manifest beside it")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder of the data set")
+    add(
+        "--scene",
+        default="example",
+        metavar="FILE",
+        help="placements (CSV) or a mesh, z up, metres [a hall made by dronepose]",
+    )
+    add("--scene-unit", type=float, default=1.0, metavar="M", help="metres of its unit [1]")
+    add("--drone", default="example", metavar="FILE", help="mesh [the project's quadrotor]")
+    add("--drone-unit", type=float, default=1.0, metavar="M", help="metres of its unit [1]")
+    add("--drone-texture", metavar="IMAGE", help="where the mesh names none")
+    add("--drone-name", metavar="NAME", help="folder of the drone [the file's name]")
+    add("--roughness", type=float, default=0.45, metavar="R", help="of the drone, 0 to 1 [0.45]")
+    add("--metallic", type=float, default=0.0, metavar="M", help="of the drone, 0 to 1 [0]")
+    add("--panoramas", metavar="DIR", help="light: .hdr, or images [two made by dronepose]")
+    add("--building", metavar="NAME", help="name of the scene [the plan's, or the scene's file]")
+    add("--split", choices=("train", "val", "test"), help="[the plan's, or train]")
+    add("--date", default="flight", metavar="NAME", help="name of the flight [flight]")
+    add("--seed", type=int, default=0, metavar="S", help="of the light [0]")
+    add(
+        "--strength",
+        type=float,
+        nargs=2,
+        default=(0.3, 0.7),
+        metavar=("LOW", "HIGH"),
+        help="factor of the light, uniform [0.3 0.7]",
+    )
+    add("--seen", type=float, default=0.5, metavar="S", help="least share of the drone seen [0.5]")
+    add("--hole", type=float, default=0.05, metavar="S", help="most share of scan holes [0.05]")
+    add("--samples", type=int, default=3, metavar="N", help="points along a pixel's side [3]")
+    add("--workers", type=int, default=0, metavar="N", help="rows at a time [one a core]")
+    add("--shard", default="0/1", metavar="K/N", help="every N-th row from the K-th on [0/1]")

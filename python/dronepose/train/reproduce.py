@@ -18,13 +18,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lightning
+import numpy as np
 import torch
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 import dronepose
 from dronepose._files import write_text
-from dronepose.data import PoseDataModule
+from dronepose.data import FolderDataset, PoseDataModule
+from dronepose.evaluation import evaluate
+from dronepose.mesh import Mesh
 from dronepose.train.callbacks import RendererShare
+from dronepose.train.report import table_one
 from dronepose.train.task import PoseTask
 
 if TYPE_CHECKING:
@@ -197,9 +201,43 @@ def interval(values: Sequence[float]) -> float | None:
     return quantile * statistics.stdev(values) / math.sqrt(n)
 
 
-def table(results: Sequence[dict[str, Any]]) -> str:
-    """The results as Markdown: mean over the seeds and half of the 95 % interval."""
+def mean_pose(root: str) -> dict[str, float]:
+    """The test split scored for a network that has seen nothing: always the mean training pose.
+
+    Args:
+        root: Folder of the data set.
+
+    Returns:
+        The metrics, as :func:`dronepose.train.report.table_one`. The mean rotation is the one
+        nearest to the mean of the matrices.
+
+    Raises:
+        OSError: The data set cannot be read.
+    """
+    train, test = FolderDataset(root, "train"), FolderDataset(root, "test")
+    known = [train.pose(k) for k in range(len(train))]
+    u, _, v = np.linalg.svd(np.mean([R for R, _ in known], axis=0))
+    R = u @ np.diag([1.0, 1.0, float(np.linalg.det(u @ v))]) @ v
+    t = np.mean([t for _, t in known], axis=0)
+    truth = [test.pose(k) for k in range(len(test))]
+    names = [str(k) for k in range(len(truth))]
+    predicted = (np.tile(R, (len(truth), 1, 1)), np.tile(t, (len(truth), 1)), names)
+    expected = (np.stack([R for R, _ in truth]), np.stack([t for _, t in truth]), names)
+    mesh = Mesh.from_file(Path(root) / "mesh.obj")
+    return table_one(evaluate(predicted, expected, mesh=mesh, metrics=["add"], bootstrap=0))
+
+
+def table(results: Sequence[dict[str, Any]], baseline: dict[str, float] | None = None) -> str:
+    """The results as Markdown: mean over the seeds and half of the 95 % interval.
+
+    Args:
+        results: Of :func:`run_one`.
+        baseline: Metrics of :func:`mean_pose`, for a row of their own.
+    """
     lines = ["| | seeds | " + " | ".join(HEADS) + " | renderer |", "|---|--:|" + "--:|" * 8]
+    if baseline is not None:
+        cells = [f"{baseline[c]:.{1 if c.startswith('a') else 4}f}" for c in COLUMNS]
+        lines.append("| Mean pose | | " + " | ".join(cells) + " | |")
     for key, variant in VARIANTS.items():
         runs = [r for r in results if r["variant"] == key]
         if not runs:

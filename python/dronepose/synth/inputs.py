@@ -1,0 +1,209 @@
+"""What goes into a rendered data set, from files: the scene, the drone, panoramas, cameras."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dronepose.camera import Camera
+from dronepose.mesh import Mesh
+from dronepose.render import Environment
+from dronepose.synth.asset import Asset, AssetError, load_asset, load_placements, merged
+from dronepose.synth.rooms import example_hall
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from dronepose.synth.plan import PlanTable
+
+__all__ = ["EXAMPLE", "cameras_of", "example_light", "read_drone", "read_panoramas", "read_scene"]
+
+EXAMPLE = "example"
+"""The name of what the project makes itself, in place of a file."""
+
+_PANORAMAS = (".hdr", ".png", ".jpg", ".jpeg")
+
+
+def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[str, Any]]:
+    """A scene by its file: placements (CSV), a mesh, or ``"example"`` for :func:`example_hall`.
+
+    Args:
+        name: The file.
+        metres_per_unit: Scale of a mesh.
+
+    Returns:
+        The scene, and for the manifest its name and SHA-256.
+
+    Raises:
+        AssetError: The file cannot be used.
+        FileNotFoundError: There is no such file.
+
+    Example:
+        >>> read_scene("example")[1]["file"]
+        'example'
+    """
+    if name == EXAMPLE:
+        return example_hall(), {"file": EXAMPLE}
+    path = Path(name)
+    if path.suffix.lower() == ".csv":
+        scene = merged([asset for _, asset in load_placements(path)])
+    else:
+        scene = load_asset(path, metres_per_unit=metres_per_unit).look(lit=False)
+    return scene, _facts(path)
+
+
+def read_drone(
+    name: str,
+    *,
+    metres_per_unit: float = 1.0,
+    texture: str | None = None,
+    roughness: float = 0.45,
+    metallic: float = 0.0,
+) -> tuple[Asset, dict[str, Any]]:
+    """A drone by its file, or ``"example"`` for the project's quadrotor, with colours of its parts.
+
+    Args:
+        name: The file.
+        metres_per_unit: Scale of the mesh.
+        texture: An image for all of it.
+        roughness: Of its surface, 0 for a mirror to 1.
+        metallic: 0 for plastics, 1 for metals.
+
+    Returns:
+        The drone, and for the manifest its name and SHA-256.
+
+    Raises:
+        AssetError: The file cannot be used.
+        FileNotFoundError: There is no such file.
+
+    Example:
+        >>> read_drone("example")[0].materials[0].lit
+        True
+    """
+    if name == EXAMPLE:
+        from dronepose.data._shading import painted
+        from dronepose.data.toyset import EXAMPLE_MESH
+        from dronepose.render import Material
+
+        mesh = Mesh.from_file(EXAMPLE_MESH)
+        colours, index = np.unique(painted(mesh, "z").albedo, axis=0, return_inverse=True)
+        materials = tuple(Material((float(r), float(g), float(b))) for r, g, b in colours)
+        corners = np.zeros((len(mesh.faces), 3, 2))
+        drone = Asset(mesh, materials, index.reshape(-1).astype(np.uint32), corners)
+        facts: dict[str, Any] = {"file": EXAMPLE}
+    else:
+        drone = load_asset(name, metres_per_unit=metres_per_unit, texture=texture)
+        facts = {**_facts(Path(name)), "metres_per_unit": metres_per_unit}
+        if texture is not None:
+            facts["texture"] = _facts(Path(texture))
+    return drone.look(lit=True, roughness=roughness, metallic=metallic), facts
+
+
+def read_panoramas(
+    folder: str | None, *, threads: int = 0
+) -> tuple[dict[str, Environment], dict[str, Any]]:
+    """The panoramas of a folder by name, or two halls of light of our own.
+
+    Args:
+        folder: Holds ``.hdr`` (Radiance), or 8-bit images in sRGB, twice as wide as high; one file
+            is one panorama; ``None`` is :func:`example_light`.
+        threads: Number of threads, 0 for one a core.
+
+    Returns:
+        The environments, and for the manifest their SHA-256.
+
+    Raises:
+        AssetError: A file cannot be read, or there is none.
+        FileNotFoundError: There is no such folder.
+
+    Example:
+        >>> sorted(read_panoramas(None)[0])
+        ['example-cool', 'example-warm']
+    """
+    if folder is None:
+        made = {f"{EXAMPLE}-{kind}": example_light(kind) for kind in ("warm", "cool")}
+        return made, dict.fromkeys(made, "made by dronepose")
+    place = Path(folder)
+    if not place.exists():
+        raise FileNotFoundError(f"{place}: there is no such folder of panoramas")
+    files = [place] if place.is_file() else sorted(place.iterdir())
+    files = [file for file in files if file.suffix.lower() in _PANORAMAS]
+    if not files:
+        raise AssetError(f"{place}: expected panoramas, {', '.join(_PANORAMAS)}")
+    found = {}
+    for file in files:
+        image = _radiance(file)
+        if image.shape[1] != 2 * image.shape[0]:
+            raise AssetError(f"{file}: expected twice as wide as high, got {image.shape[1::-1]}")
+        found[file.stem] = Environment(image, threads=threads)
+    return found, {file.stem: _facts(file)["sha256"] for file in files}
+
+
+def _radiance(path: Path) -> NDArray[np.float32]:
+    import cv2
+
+    content = np.frombuffer(path.read_bytes(), np.uint8)
+    image = None if not len(content) else cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 3:
+        raise AssetError(f"{path}: cannot be read as a panorama in colour")
+    rgb = image[..., 2::-1].astype(np.float32)
+    if image.dtype == np.uint8:
+        x = rgb / 255
+        rgb = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    if not np.isfinite(rgb).all() or rgb.min() < 0:
+        raise AssetError(f"{path}: holds a radiance that is negative or not finite")
+    return np.ascontiguousarray(rgb)
+
+
+def example_light(kind: str = "warm") -> Environment:
+    """The light of a room: windows on one side, a lamp above, a dim floor.
+
+    Args:
+        kind: ``"warm"`` or ``"cool"``.
+
+    Returns:
+        The environment.
+
+    Raises:
+        ValueError: The kind is unknown.
+
+    Example:
+        >>> min(example_light("cool").mean) > 0.3
+        True
+    """
+    if kind not in ("warm", "cool"):
+        raise ValueError(f"kind: expected 'warm' or 'cool', got {kind!r}")
+    warm = kind == "warm"
+    height, width = 128, 256
+    polar, turn = (np.arange(n) + 0.5 for n in (height, width))
+    polar, turn = polar[:, None] / height * np.pi, turn[None] / width * 2 * np.pi
+    tint = np.array([1.0, 0.93, 0.82] if warm else [0.86, 0.94, 1.0])
+    room = 0.55 + 0.25 * np.cos(polar) + 0.05 * np.cos(turn - 1)
+    light = room[..., None] * tint
+    for centre, wide, strength in (
+        ((1.2, 0.35, 9.0), (2.1, 0.3, 7.0)) if warm else ((4.0, 0.5, 8.0),)
+    ):
+        window = (np.abs(turn - centre) < wide) & (np.abs(polar - 1.35) < 0.35)
+        light = light + window[..., None] * strength * np.array([0.95, 1.0, 1.05])
+    lamp = (polar < (0.25 if warm else 0.4)) & (turn > -1)
+    light = light + lamp[..., None] * (12.0 if warm else 6.0) * tint
+    return Environment(light.astype(np.float32))
+
+
+def cameras_of(plan: PlanTable) -> tuple[Camera, Camera]:
+    """The exocentric and the egocentric camera that a plan was made for.
+
+    Raises:
+        ValueError: The plan has no manifest.
+    """
+    cameras = plan.manifest.get("cameras")
+    if not cameras:
+        raise ValueError("plan: its manifest with the cameras is missing (plan.json beside it)")
+    return Camera(**cameras["exo"]), Camera(**cameras["ego"])
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
