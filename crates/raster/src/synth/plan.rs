@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Pose;
+use crate::camera::Intrinsics;
 use crate::error::Result;
 use crate::io::output::Outputs;
 use crate::synth::flight::Track;
@@ -99,6 +100,97 @@ struct Candidate {
 
 const PAPER: &str = "section 3";
 
+/// Why a candidate gives no sample: how many of `look-at`, `border`, `whole` it passed.
+type Removed = u8;
+
+/// What the rules look at.
+struct Setting<'a> {
+    track: &'a Track,
+    anchors: &'a [DVec3],
+    rules: &'a Rules,
+    camera: Intrinsics,
+    segment_of: Vec<usize>,
+    stride: usize,
+    /// `body_from_cam` of the drone's camera.
+    mount: Pose,
+    /// `body_from_model`.
+    model: Pose,
+}
+
+impl Setting<'_> {
+    /// `world_from_body` of a frame.
+    fn pose(&self, i: usize) -> Pose {
+        Pose::new(self.track.rotations[i], self.track.positions[i])
+    }
+
+    fn candidate(&self, i: usize) -> Candidate {
+        let (rules, stride) = (self.rules, self.stride);
+        let (anchor, distance_m, tie) = rules::nearest_anchor(
+            self.track.positions[i],
+            self.anchors,
+        )
+        .unwrap_or((0, f64::NAN, false));
+        let segment = self.segment_of[i];
+        let piece = &self.track.segments[segment];
+        let none = (f64::NAN, f64::NAN);
+        let mut found =
+            Candidate { anchor, distance_m, tie, segment, previous: none, next: none, passed: 0 };
+        if !(rules.min_distance_m..=rules.max_distance_m).contains(&distance_m) {
+            return found;
+        }
+        found.passed = 1;
+        if i < piece.start + stride || i + stride >= piece.end {
+            return found;
+        }
+        found.passed = 2;
+        found.previous = rules::motion(&self.pose(i - stride), &self.pose(i));
+        found.next = rules::motion(&self.pose(i), &self.pose(i + stride));
+        if rules::moves_enough(rules, found.previous) && rules::moves_enough(rules, found.next) {
+            found.passed = 3;
+        }
+        found
+    }
+
+    /// The sample of a candidate that passed the rules before.
+    fn view(&self, i: usize, c: &Candidate) -> Result<Sample, Removed> {
+        let (rules, track) = (self.rules, self.track);
+        let frame = track.frames[i];
+        let (here, there) = (self.pose(i), self.pose(i + self.stride));
+        let anchor = self.anchors[c.anchor];
+        let (eye, target) = rules::draw_view(rules, frame, anchor, track.positions[i]);
+        let exo = rules::look_at(eye, target).ok_or(0_u8)?;
+        let (drone, drone_next) = (here.compose(&self.model), there.compose(&self.model));
+        let (pose, pose_next) = (exo.compose(&drone), exo.compose(&drone_next));
+        let centroid = DVec3::from_array(rules.centroid_m);
+        let inside = |p: &Pose| rules::inside(&self.camera, rules.border, p, centroid).ok_or(1_u8);
+        let (uv, uv_next) = (inside(&pose)?, inside(&pose_next)?);
+        if let Some(corners) = rules.whole_box_m {
+            let whole = |p: &Pose| rules::whole(&self.camera, p, corners);
+            if !(whole(&pose) && whole(&pose_next)) {
+                return Err(2);
+            }
+        }
+        Ok(Sample {
+            frame,
+            index: i,
+            segment: c.segment,
+            anchor: c.anchor,
+            distance_m: c.distance_m,
+            previous: c.previous,
+            next: c.next,
+            uv,
+            uv_next,
+            exo,
+            ego: here.compose(&self.mount).inverse(),
+            ego_next: there.compose(&self.mount).inverse(),
+            drone,
+            drone_next,
+            pose,
+            pose_next,
+        })
+    }
+}
+
 /// The plan of a flight in a scene. The bits do not depend on the number of threads.
 ///
 /// # Errors
@@ -114,81 +206,29 @@ pub fn plan(
     if anchors.is_empty() {
         return Err(crate::Error::argument("anchors", "one at least is needed"));
     }
-    let stride = rules.stride as usize;
-    let segment_of = segments(track);
-    let pose = |i: usize| Pose::new(track.rotations[i], track.positions[i]);
-    let candidate = |i: usize| -> Candidate {
-        let (anchor, distance_m, tie) =
-            rules::nearest_anchor(track.positions[i], anchors).unwrap_or((0, f64::NAN, false));
-        let segment = segment_of[i];
-        let piece = &track.segments[segment];
-        let none = (f64::NAN, f64::NAN);
-        let mut found =
-            Candidate { anchor, distance_m, tie, segment, previous: none, next: none, passed: 0 };
-        if !(rules.min_distance_m..=rules.max_distance_m).contains(&distance_m) {
-            return found;
-        }
-        found.passed = 1;
-        if i < piece.start + stride || i + stride >= piece.end {
-            return found;
-        }
-        found.passed = 2;
-        found.previous = rules::motion(&pose(i - stride), &pose(i));
-        found.next = rules::motion(&pose(i), &pose(i + stride));
-        if rules::moves_enough(rules, found.previous) && rules::moves_enough(rules, found.next) {
-            found.passed = 3;
-        }
-        found
-    };
-    let (mount, model) = (rules.ego_mount(), rules.body_from_model());
-    let centroid = DVec3::from_array(rules.centroid_m);
-    let in_frame =
-        |pose: &Pose| rules.whole_box_m.is_none_or(|corners| rules::whole(&camera, pose, corners));
-    // The sample of a candidate; how many of `look-at`, `border`, `whole` it passed if there is none.
-    let view = |i: usize, c: &Candidate| -> std::result::Result<Sample, u8> {
-        let frame = track.frames[i];
-        let (here, there) = (pose(i), pose(i + stride));
-        let (eye, target) = rules::draw_view(rules, frame, anchors[c.anchor], track.positions[i]);
-        let exo = rules::look_at(eye, target).ok_or(0_u8)?;
-        let (drone, drone_next) = (here.compose(&model), there.compose(&model));
-        let (pose, pose_next) = (exo.compose(&drone), exo.compose(&drone_next));
-        let inside = |p: &Pose| rules::inside(&camera, rules.border, p, centroid).ok_or(1_u8);
-        let (uv, uv_next) = (inside(&pose)?, inside(&pose_next)?);
-        if !(in_frame(&pose) && in_frame(&pose_next)) {
-            return Err(2);
-        }
-        Ok(Sample {
-            frame,
-            index: i,
-            segment: c.segment,
-            anchor: c.anchor,
-            distance_m: c.distance_m,
-            previous: c.previous,
-            next: c.next,
-            uv,
-            uv_next,
-            exo,
-            ego: here.compose(&mount).inverse(),
-            ego_next: there.compose(&mount).inverse(),
-            drone,
-            drone_next,
-            pose,
-            pose_next,
-        })
+    let setting = Setting {
+        track,
+        anchors,
+        rules,
+        camera,
+        segment_of: segments(track),
+        stride: rules.stride as usize,
+        mount: rules.ego_mount(),
+        model: rules.body_from_model(),
     };
     let (candidates, views) = threads::install(threads, || {
         let candidates: Vec<Candidate> =
-            (0..track.frames.len()).into_par_iter().map(candidate).collect();
-        let views: Vec<std::result::Result<Sample, u8>> = candidates
+            (0..track.frames.len()).into_par_iter().map(|i| setting.candidate(i)).collect();
+        let views: Vec<Result<Sample, Removed>> = candidates
             .par_iter()
             .enumerate()
             .filter(|(_, c)| c.passed == 3)
-            .map(|(i, c)| view(i, c))
+            .map(|(i, c)| setting.view(i, c))
             .collect();
         (candidates, views)
     })?;
     let paired = |sample: &Sample| {
-        let next = &candidates[sample.index + stride];
+        let next = &candidates[sample.index + setting.stride];
         next.passed == 3 && next.anchor == sample.anchor
     };
     let in_view: Vec<Sample> = views.iter().filter_map(|v| v.as_ref().ok().copied()).collect();
