@@ -25,8 +25,9 @@ from dronepose.synth import (
     write_example,
 )
 from dronepose.synth.report import yaw_pitch_roll_deg
+from dronepose.synth.rules import PIXEL_RULES
 from oracles import synth as oracle
-from support import EXAMPLES, loads, rows, run
+from support import EXAMPLES, ROOT, loads, rows, run
 
 RULES = ("anchor", "distance", "neighbours", "ego-motion", "look-at", "border", "pair")
 
@@ -88,6 +89,7 @@ def test_the_plan_is_that_of_the_slow_loops(seed):
         min_distance_m=0.4,
         exo=Camera(200, 210, 150, 130, 320, 240, skew=3.0),
         centroid_m=(0.02, -0.05, 0.1),
+        whole_box_m=((-0.2, -0.1, 0), (0.15, 0.1, 0.1)) if seed in (2, 3) else None,
     )
     expected, removed = oracle.plan(track, anchors, rules)
     plan = make_plan(track, anchors, rules)
@@ -104,13 +106,14 @@ def test_the_plan_is_that_of_the_slow_loops(seed):
 
 def test_every_rule_of_the_oracle_is_at_work():
     """Or the comparison with it would say little."""
-    total = dict.fromkeys(RULES, 0)
+    total = dict.fromkeys([*RULES, "whole"], 0)
     for seed in range(6):
         track, anchors = wandering(seed)
-        rules = Rules(seed=seed, border=0.2, drone_cube_m=0.7, min_distance_m=0.4)
+        box = ((-0.2, -0.2, -0.1), (0.2, 0.2, 0.1))
+        rules = Rules(seed=seed, border=0.2, drone_cube_m=0.7, min_distance_m=0.4, whole_box_m=box)
         for rule, count in oracle.plan(track, anchors, rules)[1].items():
             total[rule] += count
-    assert all(total[rule] for rule in RULES if rule not in ("anchor", "look-at", "neighbours")), (
+    assert all(total[rule] for rule in total if rule not in ("anchor", "look-at", "neighbours")), (
         total
     )
 
@@ -207,6 +210,7 @@ def test_settings_out_of_range_are_named(demo):
         {"seed": -1},
         {"seed": 0.5},
         {"centroid_m": (1, 2)},
+        {"whole_box_m": ((0, 0, 0),)},
     ):
         with pytest.raises(ValueError, match=next(iter(settings))):
             Rules(**settings)
@@ -303,6 +307,7 @@ def test_refusals_write_nothing(demo, tmp_path):
         (["--flight", demo["flight"], "--anchors", broken], f"{broken}:1: found"),
         ([*given(demo), "--offset", 100, 0, 0], "no sample is left: rule distance removed 1801"),
         ([*given(demo), "--border", 0.7], "border: found 0.7"),
+        ([*given(demo), "--whole"], "--whole: expected --mesh"),
         ([*given(demo), "--body-axes", "ruf"], "body_axes: 'ruf' are left-handed"),
         ([*given(demo), "--splits", tmp_path], "--splits: expected --scene"),
         ([*given(demo), "--splits", tmp_path, "--scene", "a"], "expected scenes_train.txt"),
@@ -338,7 +343,7 @@ def test_placement_scene_split_and_centroid_reach_the_manifest(demo, tmp_path):
     done = synth(
         *["plan", *given(demo), "--out", out, "--fit", "fill", "--yaw", 180],
         *["--scene", "hall", "--splits", tmp_path, "--seed", 5, "--stride", 2],
-        *["--mesh", EXAMPLES / "quadrotor.obj", "--model-axes", "luf", "--fov", 70],
+        *["--mesh", EXAMPLES / "quadrotor.obj", "--model-axes", "luf", "--fov", 70, "--whole"],
     )
     assert done.returncode == 0, done.stderr
     manifest = loads(out.with_suffix(".json").read_text())
@@ -348,6 +353,7 @@ def test_placement_scene_split_and_centroid_reach_the_manifest(demo, tmp_path):
     assert "placed (fit fill): scale 0." in done.stdout
     assert rows(out)[0]["id"].startswith("hall-000")
     assert manifest["rules"]["stride"] == 2
+    assert "\nwhole " in done.stdout
     assert any(manifest["rules"]["centroid_m"])
 
 
@@ -471,3 +477,34 @@ def test_a_settings_change_of_a_real_plan_is_seen(shared):
     wide = make_plan(flight, anchors, replace(Rules(), max_distance_m=3.0), fit="centre")
     assert len(wide) > len(near)
     assert max(near.funnel.steps, key=lambda step: step.removed).rule == "distance"
+
+
+def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    page = (ROOT / "docs" / "synthesis.md").read_text(encoding="utf-8")
+    console = page.split("```console\n")[1].split("```")[0]
+    lines = [line.removeprefix("$ dronepose ") for line in console.splitlines()]
+    assert len(lines) == 4
+    (tmp_path / "examples").symlink_to(EXAMPLES)
+    for line in lines:
+        done = run(*line.split(), cwd=tmp_path, name="dronepose")
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+    monkeypatch.chdir(tmp_path)
+    before = (tmp_path / "demo" / "plan.csv").read_bytes()
+    exec(page.split("```python\n")[1].split("```")[0], {})
+    assert (tmp_path / "demo" / "plan.csv").read_bytes() != before  # another seed
+
+
+def test_the_page_names_every_rule_and_default():
+    page = (ROOT / "docs" / "synthesis.md").read_text(encoding="utf-8")
+    rules = Rules()
+    for name in (*RULES, "whole", *PIXEL_RULES):
+        assert f"`{name}`" in page, name
+    for sentence in (
+        f"`{rules.min_distance_m} <= \\|p_t - a_t\\| <= {rules.max_distance_m}` m",
+        f"moves {rules.min_move_m} m or turns {rules.min_turn_deg} degrees at least, "
+        f"{rules.max_move_m} m and {rules.max_turn_deg:.0f} degrees at most",
+        f"cubes of {rules.anchor_cube_m} m and {rules.drone_cube_m} m",
+        f"not within {rules.border} of the width",
+    ):
+        assert sentence in page, sentence

@@ -1,5 +1,6 @@
 """The plan of a data set by loops that anybody can read, with the generator written out."""
 
+import itertools
 import math
 
 import numpy as np
@@ -57,8 +58,10 @@ def plan(track, anchors, rules):
     s, n = rules.stride, len(p)
     nearest = [int(np.argmin([np.linalg.norm(x - a) for a in anchors])) for x in p]
     removed = dict.fromkeys(
-        ["anchor", "distance", "neighbours", "ego-motion", "look-at", "border", "pair"], 0
+        ["anchor", "distance", "neighbours", "ego-motion", "look-at", "border", "whole", "pair"], 0
     )
+    if rules.whole_box_m is None:
+        del removed["whole"]
 
     def moving(i, j):
         move, turn = np.linalg.norm(p[i] - p[j]), angle_deg(q[i], q[j])
@@ -79,12 +82,12 @@ def plan(track, anchors, rules):
             return False
         return True
 
-    def centroid_inside(R, t):
-        x = R @ np.asarray(rules.centroid_m) + t
+    def inside(R, t, point, b):
+        x = R @ np.asarray(point) + t
         if x[2] <= 0:
             return False
         u, v, _ = rules.exo.K @ (x / x[2])
-        w, h, b = rules.exo.width, rules.exo.height, rules.border
+        w, h = rules.exo.width, rules.exo.height
         return b * w <= u <= (1 - b) * w and b * h <= v <= (1 - b) * h
 
     samples = []
@@ -102,8 +105,17 @@ def plan(track, anchors, rules):
         x /= np.linalg.norm(x)
         R_cam = np.stack([x, np.cross(z, x), z])
         poses = [(R_cam @ matrix(q[j]), R_cam @ (p[j] - eye)) for j in (i, i + s)]
-        if not all(centroid_inside(R, t) for R, t in poses):
+        if not all(inside(R, t, rules.centroid_m, rules.border) for R, t in poses):
             removed["border"] += 1
+            continue
+        corners = (
+            []
+            if rules.whole_box_m is None
+            else itertools.product(*zip(*rules.whole_box_m, strict=True))
+        )
+        corners = list(corners)
+        if not all(inside(R, t, corner, 0) for R, t in poses for corner in corners):
+            removed["whole"] += 1
             continue
         if not passes(i + s, dict.fromkeys(removed, 0)) or nearest[i + s] != nearest[i]:
             removed["pair"] += 1

@@ -219,14 +219,18 @@ def _rules(args: argparse.Namespace) -> Any:
     from dronepose.synth import Rules
 
     exo = args.camera or Camera.from_fov(*args.size, horizontal_deg=args.fov)
-    centroid = args.centroid
+    centroid, box = args.centroid, None
+    if args.whole and args.mesh is None:
+        raise ValueError("--whole: expected --mesh FILE with it")
     if args.mesh is not None:
         if centroid is not None:
             raise ValueError("--mesh, --centroid: expected one of the two")
         from dronepose.mesh import Mesh
 
         vertices = Mesh.from_file(args.mesh).vertices
-        centroid = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        corners = (vertices.min(axis=0), vertices.max(axis=0))
+        centroid = 0.5 * (corners[0] + corners[1])
+        box = [corner.tolist() for corner in corners] if args.whole else None
     return Rules(
         seed=args.seed,
         min_distance_m=args.distance[0],
@@ -245,6 +249,7 @@ def _rules(args: argparse.Namespace) -> Any:
         ego_offset_m=tuple(args.ego_offset),
         model_axes=args.model_axes,
         centroid_m=(0.0, 0.0, 0.0) if centroid is None else tuple(map(float, centroid)),
+        whole_box_m=box,
     )
 
 

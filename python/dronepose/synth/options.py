@@ -120,7 +120,7 @@ def _rules(group: argparse._ArgumentGroup) -> None:
     add("--anchor-cube", type=float, default=rules.anchor_cube_m, metavar="M", help=text)
     text = "edge of the cube about the drone, at which the view looks [0.6]"
     add("--drone-cube", type=float, default=rules.drone_cube_m, metavar="M", help=text)
-    text = "of the image at each edge, where the drone's centroid may not be [0.15]"
+    text = "of the image at each edge, where the drone's centroid may not be [0.25]"
     add("--border", type=float, default=rules.border, metavar="SHARE", help=text)
 
 
@@ -138,6 +138,7 @@ def _cameras(group: argparse._ArgumentGroup) -> None:
     text = "where the mesh's x, y, z point [flu; luf for the paper's mesh]"
     add("--model-axes", default="flu", metavar="FLU", help=text)
     add("--mesh", type=Path, metavar="FILE", help="the drone: its centroid is its box's middle")
+    add("--whole", action="store_true", help="the box of --mesh has to be in both images")
     text = "the drone's centroid in its mesh's frame, metres [0 0 0]"
     add("--centroid", type=float, nargs=3, metavar=XYZ, help=text)
 

@@ -101,7 +101,8 @@ def draw_poses(table: PlanTable, path: str | os.PathLike[str]) -> None:
         axes.set_xlabel(f"{name} (m)" + (", down" if name == "y" else ", right"))
         axes.set_ylabel("z (m), forward")
         axes.locator_params(axis="x", nbins=5)
-        figure.colorbar(image, ax=axes, label="samples", shrink=0.85)
+        bar = figure.colorbar(image, ax=axes, label="samples", shrink=0.85)
+        bar.ax.yaxis.get_major_locator().set_params(integer=True)
     angles = yaw_pitch_roll_deg(R, rules.get("model_axes", "flu"))
     bins = np.arange(-180, 181, 5)
     for k, name in enumerate(("yaw", "pitch", "roll")):

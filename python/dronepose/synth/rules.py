@@ -48,6 +48,8 @@ class Rules:
         model_axes: Which way x, y and z of the drone's mesh point, as three letters of forward,
             back, left, right, up, down (``luf`` for the paper's mesh).
         centroid_m: The drone's centroid in the frame of its mesh, ``(3,)`` metres.
+        whole_box_m: Two corners of the box of its mesh, each ``(3,)`` metres; asks for the rule
+            ``whole``, that the box is in the image. ``None`` does without.
 
     Raises:
         ValueError: A word is none of those that are known, or there are not three numbers. Ranges
@@ -69,19 +71,25 @@ class Rules:
     motion: Literal["any", "all"] = "any"
     anchor_cube_m: float = 0.5
     drone_cube_m: float = 0.6
-    border: float = 0.15
+    border: float = 0.25
     exo: Camera = EXO
     ego: Camera = EGO
     ego_down_deg: float = 0.0
     ego_offset_m: Sequence[float] = (0.0, 0.0, 0.0)
     model_axes: str = "flu"
     centroid_m: Sequence[float] = (0.0, 0.0, 0.0)
+    whole_box_m: Sequence[Sequence[float]] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model_axes", axes("model_axes", self.model_axes))
         chosen("motion", self.motion, ("any", "all"))
         vector("ego_offset_m", self.ego_offset_m)
         vector("centroid_m", self.centroid_m)
+        if self.whole_box_m is not None:
+            if len(self.whole_box_m) != 2:
+                raise ValueError(f"whole_box_m: expected two corners, got {self.whole_box_m!r}")
+            for corner in self.whole_box_m:
+                vector("whole_box_m", corner)
         for name in ("seed", "stride"):
             value = getattr(self, name)
             if int(value) != value or not 0 <= value < 2 ** (64 if name == "seed" else 32):

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::Pose;
+use crate::camera::Intrinsics;
 use crate::error::Result;
 use crate::io::output::Outputs;
 use crate::synth::flight::Track;
@@ -99,6 +100,97 @@ struct Candidate {
 
 const PAPER: &str = "section 3";
 
+/// Why a candidate gives no sample: how many of `look-at`, `border`, `whole` it passed.
+type Removed = u8;
+
+/// What the rules look at.
+struct Setting<'a> {
+    track: &'a Track,
+    anchors: &'a [DVec3],
+    rules: &'a Rules,
+    camera: Intrinsics,
+    segment_of: Vec<usize>,
+    stride: usize,
+    /// `body_from_cam` of the drone's camera.
+    mount: Pose,
+    /// `body_from_model`.
+    model: Pose,
+}
+
+impl Setting<'_> {
+    /// `world_from_body` of a frame.
+    fn pose(&self, i: usize) -> Pose {
+        Pose::new(self.track.rotations[i], self.track.positions[i])
+    }
+
+    fn candidate(&self, i: usize) -> Candidate {
+        let (rules, stride) = (self.rules, self.stride);
+        let (anchor, distance_m, tie) = rules::nearest_anchor(
+            self.track.positions[i],
+            self.anchors,
+        )
+        .unwrap_or((0, f64::NAN, false));
+        let segment = self.segment_of[i];
+        let piece = &self.track.segments[segment];
+        let none = (f64::NAN, f64::NAN);
+        let mut found =
+            Candidate { anchor, distance_m, tie, segment, previous: none, next: none, passed: 0 };
+        if !(rules.min_distance_m..=rules.max_distance_m).contains(&distance_m) {
+            return found;
+        }
+        found.passed = 1;
+        if i < piece.start + stride || i + stride >= piece.end {
+            return found;
+        }
+        found.passed = 2;
+        found.previous = rules::motion(&self.pose(i - stride), &self.pose(i));
+        found.next = rules::motion(&self.pose(i), &self.pose(i + stride));
+        if rules::moves_enough(rules, found.previous) && rules::moves_enough(rules, found.next) {
+            found.passed = 3;
+        }
+        found
+    }
+
+    /// The sample of a candidate that passed the rules before.
+    fn view(&self, i: usize, c: &Candidate) -> Result<Sample, Removed> {
+        let (rules, track) = (self.rules, self.track);
+        let frame = track.frames[i];
+        let (here, there) = (self.pose(i), self.pose(i + self.stride));
+        let anchor = self.anchors[c.anchor];
+        let (eye, target) = rules::draw_view(rules, frame, anchor, track.positions[i]);
+        let exo = rules::look_at(eye, target).ok_or(0_u8)?;
+        let (drone, drone_next) = (here.compose(&self.model), there.compose(&self.model));
+        let (pose, pose_next) = (exo.compose(&drone), exo.compose(&drone_next));
+        let centroid = DVec3::from_array(rules.centroid_m);
+        let inside = |p: &Pose| rules::inside(&self.camera, rules.border, p, centroid).ok_or(1_u8);
+        let (uv, uv_next) = (inside(&pose)?, inside(&pose_next)?);
+        if let Some(corners) = rules.whole_box_m {
+            let whole = |p: &Pose| rules::whole(&self.camera, p, corners);
+            if !(whole(&pose) && whole(&pose_next)) {
+                return Err(2);
+            }
+        }
+        Ok(Sample {
+            frame,
+            index: i,
+            segment: c.segment,
+            anchor: c.anchor,
+            distance_m: c.distance_m,
+            previous: c.previous,
+            next: c.next,
+            uv,
+            uv_next,
+            exo,
+            ego: here.compose(&self.mount).inverse(),
+            ego_next: there.compose(&self.mount).inverse(),
+            drone,
+            drone_next,
+            pose,
+            pose_next,
+        })
+    }
+}
+
 /// The plan of a flight in a scene. The bits do not depend on the number of threads.
 ///
 /// # Errors
@@ -114,88 +206,43 @@ pub fn plan(
     if anchors.is_empty() {
         return Err(crate::Error::argument("anchors", "one at least is needed"));
     }
-    let stride = rules.stride as usize;
-    let segment_of = segments(track);
-    let pose = |i: usize| Pose::new(track.rotations[i], track.positions[i]);
-    let candidate = |i: usize| -> Candidate {
-        let (anchor, distance_m, tie) =
-            rules::nearest_anchor(track.positions[i], anchors).unwrap_or((0, f64::NAN, false));
-        let segment = segment_of[i];
-        let piece = &track.segments[segment];
-        let none = (f64::NAN, f64::NAN);
-        let mut found =
-            Candidate { anchor, distance_m, tie, segment, previous: none, next: none, passed: 0 };
-        if !(rules.min_distance_m..=rules.max_distance_m).contains(&distance_m) {
-            return found;
-        }
-        found.passed = 1;
-        if i < piece.start + stride || i + stride >= piece.end {
-            return found;
-        }
-        found.passed = 2;
-        found.previous = rules::motion(&pose(i - stride), &pose(i));
-        found.next = rules::motion(&pose(i), &pose(i + stride));
-        if rules::moves_enough(rules, found.previous) && rules::moves_enough(rules, found.next) {
-            found.passed = 3;
-        }
-        found
-    };
-    let (mount, model) = (rules.ego_mount(), rules.body_from_model());
-    let centroid = DVec3::from_array(rules.centroid_m);
-    // The sample of a candidate; how many of `look-at` and `border` it passed if there is none.
-    let view = |i: usize, c: &Candidate| -> std::result::Result<Sample, u8> {
-        let frame = track.frames[i];
-        let (here, there) = (pose(i), pose(i + stride));
-        let (eye, target) = rules::draw_view(rules, frame, anchors[c.anchor], track.positions[i]);
-        let exo = rules::look_at(eye, target).ok_or(0_u8)?;
-        let (drone, drone_next) = (here.compose(&model), there.compose(&model));
-        let (pose, pose_next) = (exo.compose(&drone), exo.compose(&drone_next));
-        let inside = |p: &Pose| rules::inside(&camera, rules.border, p, centroid).ok_or(1_u8);
-        Ok(Sample {
-            frame,
-            index: i,
-            segment: c.segment,
-            anchor: c.anchor,
-            distance_m: c.distance_m,
-            previous: c.previous,
-            next: c.next,
-            uv: inside(&pose)?,
-            uv_next: inside(&pose_next)?,
-            exo,
-            ego: here.compose(&mount).inverse(),
-            ego_next: there.compose(&mount).inverse(),
-            drone,
-            drone_next,
-            pose,
-            pose_next,
-        })
+    let setting = Setting {
+        track,
+        anchors,
+        rules,
+        camera,
+        segment_of: segments(track),
+        stride: rules.stride as usize,
+        mount: rules.ego_mount(),
+        model: rules.body_from_model(),
     };
     let (candidates, views) = threads::install(threads, || {
         let candidates: Vec<Candidate> =
-            (0..track.frames.len()).into_par_iter().map(candidate).collect();
-        let views: Vec<std::result::Result<Sample, u8>> = candidates
+            (0..track.frames.len()).into_par_iter().map(|i| setting.candidate(i)).collect();
+        let views: Vec<Result<Sample, Removed>> = candidates
             .par_iter()
             .enumerate()
             .filter(|(_, c)| c.passed == 3)
-            .map(|(i, c)| view(i, c))
+            .map(|(i, c)| setting.view(i, c))
             .collect();
         (candidates, views)
     })?;
     let paired = |sample: &Sample| {
-        let next = &candidates[sample.index + stride];
+        let next = &candidates[sample.index + setting.stride];
         next.passed == 3 && next.anchor == sample.anchor
     };
     let in_view: Vec<Sample> = views.iter().filter_map(|v| v.as_ref().ok().copied()).collect();
     let samples: Vec<Sample> = in_view.iter().filter(|s| paired(s)).copied().collect();
     let at_least = |k: u8| candidates.iter().filter(|c| c.passed >= k).count();
     let ties = candidates.iter().filter(|c| c.tie).count();
-    let looked = views.iter().filter(|v| !matches!(v, Err(0))).count();
+    let seen = |k: u8| views.iter().filter(|v| v.as_ref().err().is_none_or(|&e| e >= k)).count();
     let left = [
         candidates.len(),
         at_least(1),
         at_least(2),
         at_least(3),
-        looked,
+        seen(1),
+        seen(2),
         in_view.len(),
         samples.len(),
     ];
@@ -210,7 +257,7 @@ pub fn plan(
 }
 
 /// The steps, from how many poses each rule left.
-fn funnel(rules: &Rules, ties: usize, left: [usize; 7]) -> Vec<Step> {
+fn funnel(rules: &Rules, ties: usize, left: [usize; 8]) -> Vec<Step> {
     let r = rules;
     let word = match r.motion {
         rules::Motion::Any => "or",
@@ -237,11 +284,13 @@ fn funnel(rules: &Rules, ties: usize, left: [usize; 7]) -> Vec<Step> {
             ),
         ),
         ("border", format!("centroid at t and t + 1 inside all but {} of the image", r.border)),
+        ("whole", "the box of the drone's mesh is in the image at t and t + 1".to_owned()),
         ("pair", "t + 1 passed up to ego-motion too, at the same anchor".to_owned()),
     ];
     let mut came_in = left[0];
     asks.into_iter()
         .zip(left)
+        .filter(|((rule, _), _)| *rule != "whole" || r.whole_box_m.is_some())
         .map(|((rule, asks), left)| {
             let step = Step { rule, paper: PAPER, came_in, removed: came_in - left, asks };
             came_in = left;
@@ -369,127 +418,4 @@ fn field(text: &str) -> std::borrow::Cow<'_, str> {
 }
 
 #[cfg(test)]
-mod tests {
-    use glam::DQuat;
-
-    use super::*;
-    use crate::rotation::angle;
-
-    /// A flight along x through two anchors, with a rest in the middle.
-    fn track(n: usize) -> Track {
-        let x = |i: usize| 0.02 * (i.min(n / 2) + i.saturating_sub(n / 2 + 10)) as f64;
-        Track {
-            rate_hz: 60.0,
-            frames: (100..100 + n.cast_signed() as i64).collect(),
-            positions: (0..n).map(|i| DVec3::new(x(i), 0.0, 1.2)).collect(),
-            rotations: (0..n).map(|i| DQuat::from_rotation_z(0.001 * i as f64)).collect(),
-            lines: (2..n as u64 + 2).collect(),
-            segments: vec![0..n / 3, n / 3..n],
-        }
-    }
-
-    fn anchors() -> (Vec<DVec3>, Vec<String>) {
-        let p = vec![DVec3::new(1.0, 1.0, 1.5), DVec3::new(4.0, 1.0, 1.5)];
-        (p, vec!["a".into(), "b, \"c\"".into()])
-    }
-
-    fn made(rules: &Rules, threads: usize) -> Plan {
-        let (p, names) = anchors();
-        plan(&track(300), &p, &names, rules, threads).expect("sound")
-    }
-
-    fn bytes(plan: &Plan) -> Vec<u8> {
-        let mut out = Vec::new();
-        plan.write_csv(&mut out).expect("in memory");
-        out
-    }
-
-    #[test]
-    fn the_bits_do_not_depend_on_threads() {
-        let rules = Rules::default();
-        let one = bytes(&made(&rules, 1));
-        assert!(one == bytes(&made(&rules, 2)) && one == bytes(&made(&rules, 7)));
-        assert!(one != bytes(&made(&Rules { seed: 1, ..rules }, 1)));
-    }
-
-    #[test]
-    fn a_rule_more_changes_no_draw_of_another_sample() {
-        let all = made(&Rules::default(), 1);
-        let near = made(&Rules { max_distance_m: 1.2, ..Rules::default() }, 1);
-        assert!(!near.samples.is_empty() && near.samples.len() < all.samples.len());
-        for s in &near.samples {
-            let same = all.samples.iter().find(|o| o.frame == s.frame).expect("kept before too");
-            assert_eq!((s.exo, s.pose), (same.exo, same.pose));
-        }
-    }
-
-    #[test]
-    fn the_funnel_adds_up() {
-        let plan = made(&Rules::default(), 1);
-        let names: Vec<&str> = plan.funnel.iter().map(|s| s.rule).collect();
-        assert_eq!(
-            names,
-            ["anchor", "distance", "neighbours", "ego-motion", "look-at", "border", "pair"]
-        );
-        assert_eq!(plan.funnel[0].came_in, 300);
-        for pair in plan.funnel.windows(2) {
-            assert_eq!(pair[0].came_in - pair[0].removed, pair[1].came_in);
-        }
-        let last = plan.funnel.last().expect("steps");
-        assert_eq!(last.came_in - last.removed, plan.samples.len());
-        assert!(plan.funnel[1].removed > 0 && plan.funnel[3].removed > 0);
-    }
-
-    #[test]
-    fn poses_of_a_sample_agree_with_one_another() {
-        let axes = crate::synth::axes::Axes::parse("model_axes", "luf").expect("axes");
-        let rules = Rules { model_axes: axes, stride: 2, ..Rules::default() };
-        let (plan, track) = (made(&rules, 1), track(300));
-        assert!(plan.samples.len() > 10);
-        for s in &plan.samples {
-            assert_eq!(s.frame, track.frames[s.index]);
-            let world = Pose::new(track.rotations[s.index], track.positions[s.index]);
-            // The mesh's z is the body's x.
-            let ahead = world.transform_point(DVec3::X);
-            assert!(s.drone.transform_point(DVec3::Z).distance(ahead) < 1e-12);
-            let seen = s.exo.transform_point(ahead);
-            assert!(s.pose.transform_point(DVec3::Z).distance(seen) < 1e-12);
-            // What the drone sees ahead is on its camera's axis.
-            assert!(s.ego.transform_point(ahead).distance(DVec3::Z) < 1e-12);
-            let later = Pose::new(track.rotations[s.index + 2], track.positions[s.index + 2]);
-            assert!(s.drone_next.translation.distance(later.translation) < 1e-12);
-            assert!(s.ego_next.inverse().translation.distance(later.translation) < 1e-12);
-            assert!((s.next.0 - world.translation.distance(later.translation)).abs() < 1e-15);
-            let turned = angle(world.rotation, later.rotation).to_degrees();
-            assert!((s.next.1 - turned).abs() < 1e-12);
-        }
-    }
-
-    #[test]
-    fn the_csv_has_a_number_for_every_column_and_quotes_names() {
-        let plan = made(&Rules { prefix: "house-".into(), ..Rules::default() }, 1);
-        let text = String::from_utf8(bytes(&plan)).expect("text");
-        let mut lines = text.lines();
-        let columns = lines.next().expect("a header").split(',').count();
-        assert_eq!(columns, 2 + 15 + 7 * 7);
-        assert!(text.contains("\nhouse-000") && text.contains(",\"b, \"\"c\"\"\","));
-        let row = lines.next().expect("a row");
-        assert_eq!(row.split(',').count(), columns);
-        assert!(row.split(',').skip(2).all(|f| f.parse::<f64>().is_ok_and(f64::is_finite)));
-    }
-
-    #[test]
-    fn a_rule_that_needs_pictures_keeps_what_it_says() {
-        let plan = made(&Rules::default(), 1);
-        let keep: Vec<bool> = (0..plan.samples.len()).map(|k| k % 2 == 0).collect();
-        let half = plan.only(&keep);
-        assert_eq!(half.samples.len(), plan.samples.len().div_ceil(2));
-        assert_eq!(half.samples[1].frame, plan.samples[2].frame);
-    }
-
-    #[test]
-    fn a_scene_without_anchors_is_refused() {
-        let error = plan(&track(30), &[], &[], &Rules::default(), 1).expect_err("refused");
-        assert!(error.to_string().starts_with("anchors: one at least"));
-    }
-}
+mod tests;

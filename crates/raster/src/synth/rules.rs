@@ -85,6 +85,8 @@ pub struct Rules {
     pub model_axes: Axes,
     /// The drone's centroid in the frame of its mesh, metres.
     pub centroid_m: [f64; 3],
+    /// Two corners of the box of the drone's mesh, in its frame, metres: asks for the rule `whole`.
+    pub whole_box_m: Option<[[f64; 3]; 2]>,
 }
 
 impl Default for Rules {
@@ -104,12 +106,13 @@ impl Default for Rules {
             motion: Motion::Any,
             anchor_cube_m: 0.5,
             drone_cube_m: 0.6,
-            border: 0.15,
+            border: 0.25,
             exo: Camera { fx: f, fy: f, cx: 160.0, cy: 120.0, skew: 0.0, width: 320, height: 240 },
             ego_down_deg: 0.0,
             ego_offset_m: [0.0; 3],
             model_axes: Axes::FLU,
             centroid_m: [0.0; 3],
+            whole_box_m: None,
         }
     }
 }
@@ -154,6 +157,9 @@ impl Rules {
         if !(0.0..0.5).contains(&self.border) {
             let text = format!("found {}, expected a share of the image in [0, 0.5)", self.border);
             return Err(Error::argument("border", text));
+        }
+        if self.whole_box_m.iter().flatten().flatten().any(|x| !x.is_finite()) {
+            return Err(Error::argument("whole_box_m", "expected finite corners"));
         }
         let numbers = [self.ego_down_deg].into_iter().chain(self.ego_offset_m);
         if numbers.chain(self.centroid_m).any(|x| !x.is_finite()) {
@@ -268,6 +274,21 @@ pub fn inside(
     (uv.cmpge(margin).all() && uv.cmple(size - margin).all()).then_some(uv)
 }
 
+/// Rule `whole`: whether all corners of the drone's box are in the image.
+#[must_use]
+pub fn whole(camera: &Intrinsics, cam_from_model: &Pose, corners: [[f64; 3]; 2]) -> bool {
+    let [a, b] = corners.map(DVec3::from_array);
+    (0..8).all(|k| {
+        let from_b = [k & 1 != 0, k & 2 != 0, k & 4 != 0];
+        let corner = DVec3::new(
+            if from_b[0] { b.x } else { a.x },
+            if from_b[1] { b.y } else { a.y },
+            if from_b[2] { b.z } else { a.z },
+        );
+        inside(camera, 0.0, cam_from_model, corner).is_some()
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -351,6 +372,18 @@ mod tests {
         }
         let behind = inside(&camera, 0.0, &Pose::IDENTITY, DVec3::new(0.0, 0.0, -2.0));
         assert_eq!(behind, None);
+    }
+
+    #[test]
+    fn a_drone_is_whole_if_each_corner_of_its_box_is_seen() {
+        let camera = Rules::default().check().expect("sound");
+        let at = |x: f64, z: f64| Pose::new(DQuat::IDENTITY, DVec3::new(x, 0.0, z));
+        let corners = [[-0.2, -0.1, -0.2], [0.2, 0.1, 0.2]];
+        assert!(whole(&camera, &at(0.0, 1.0), corners));
+        // Half of the image is tan(32.345 degrees) wide at 1 m: 0.633.
+        assert!(whole(&camera, &at(0.3, 1.0), corners) && !whole(&camera, &at(0.32, 1.0), corners));
+        assert!(!whole(&camera, &at(-0.32, 1.0), corners));
+        assert!(!whole(&camera, &at(0.0, 0.1), corners));
     }
 
     #[test]
