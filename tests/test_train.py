@@ -1,5 +1,6 @@
 """Training: configurations, schedules, a run that learns, resuming, two processes, the commands."""
 
+import itertools
 import json
 import os
 import re
@@ -22,7 +23,7 @@ from dronepose.train import predict, reproduce  # noqa: E402
 from dronepose.train.callbacks import overlay  # noqa: E402
 from dronepose.train.cli import config_path, shipped_configs  # noqa: E402
 from dronepose.train.report import Judge, table_one  # noqa: E402
-from dronepose.train.task import Exo, PoseTask  # noqa: E402
+from dronepose.train.task import Exo, PoseTask, cosine  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of the libraries that train
 
@@ -70,6 +71,18 @@ def test_the_share_of_the_silhouette_follows_its_schedule():
     for wrong in ({3: 0.1}, {0: 1.5}, -0.1):
         with pytest.raises(ValueError, match="lambda_exo"):
             PoseTask(backbone="resnet18", silhouette="iou", lambda_exo=wrong)
+
+
+def test_the_learning_rate_rises_and_falls():
+    shares = [cosine(step, 200) for step in range(201)]
+    assert shares[0] == pytest.approx(0.1)
+    assert shares[9] == shares[10] == 1
+    assert shares[105] == pytest.approx(0.5)
+    assert shares[200] == pytest.approx(0, abs=1e-12)
+    assert all(a >= b for a, b in itertools.pairwise(shares[9:]))
+    assert cosine(0, 1) == 1
+    with pytest.raises(ValueError, match="lr_schedule: 'step'"):
+        PoseTask(backbone="resnet18", lr_schedule="step")
 
 
 def test_the_objective_is_the_formula_of_the_paper(data):
@@ -235,12 +248,13 @@ def test_prediction_and_evaluation_follow_from_the_weights(trained, data, tmp_pa
 @pytest.mark.slow
 def test_a_run_that_was_stopped_goes_on(data, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    train(data, whole, "--trainer.max_epochs", 3)
-    train(data, parts, "--trainer.max_epochs", 1)
-    refused = train(data, parts, "--trainer.max_epochs", 3, check=False)
+    same = ("--model.lr_schedule", "constant")  # a cosine would end with the first epoch
+    train(data, whole, "--trainer.max_epochs", 3, *same)
+    train(data, parts, "--trainer.max_epochs", 1, *same)
+    refused = train(data, parts, "--trainer.max_epochs", 3, *same, check=False)
     assert refused.returncode == 1
     assert "--resume true" in refused.stderr
-    train(data, parts, "--trainer.max_epochs", 3, "--resume", "true")
+    train(data, parts, "--trainer.max_epochs", 3, "--resume", "true", *same)
     a, b = (
         torch.load(out / "checkpoints" / "last.ckpt", weights_only=False) for out in (whole, parts)
     )
