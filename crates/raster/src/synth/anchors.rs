@@ -105,10 +105,19 @@ fn read(mut input: Input, options: Options) -> Result<Anchors> {
         };
         return Err(Error::malformed(place, found, "one at least"));
     }
-    let p = &anchors.positions;
-    let near = |i: usize| (0..i).filter(|&j| p[i].distance(p[j]) < 1e-3).count();
-    anchors.coincident = (0..p.len()).map(near).sum();
+    anchors.coincident = coincident(&anchors.positions);
     Ok(anchors)
+}
+
+/// Pairs that are nearer than 1 mm.
+fn coincident(positions: &[DVec3]) -> usize {
+    let mut p = positions.to_vec();
+    p.sort_by(|a, b| a.x.total_cmp(&b.x));
+    let near = |i: usize| {
+        let ahead = p[i + 1..].iter().take_while(|q| q.x - p[i].x < 1e-3);
+        ahead.filter(|q| q.distance(p[i]) < 1e-3).count()
+    };
+    (0..p.len()).map(near).sum()
 }
 
 fn matterport(mut input: Input, all: bool) -> Result<Anchors> {
