@@ -316,6 +316,7 @@ def train_on_two(data, out, *more):
 @pytest.mark.slow
 def test_two_processes_learn_what_one_does(data, tmp_path):
     more = ("--trainer.max_epochs", 2, "--model.freeze_norm", "true", "--model.silhouette", "iou",
+            "--model.silhouette_options", "{}",
             "--trainer.log_every_n_steps", 1, "--model.lr", "1e-4",
             "--model.lambda_pose", 0.95)  # fmt: skip
     one, two = tmp_path / "one", tmp_path / "two"

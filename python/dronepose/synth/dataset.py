@@ -234,7 +234,7 @@ def write_dataset(
         shard: ``(k, n)`` renders every n-th row from the k-th on; the shard that finds all records
             there finishes the data set.
         workers: Threads that render a row each; the studio's own threads are beside these.
-        progress: Called with the number of rows that are done and of all.
+        progress: Called with the number of rows of the shard that are done, and of all of them.
 
     Returns:
         The manifest, with ``"written"``: rows that this call rendered.
@@ -267,7 +267,8 @@ def write_dataset(
     }
     _begin(root, building, facts)
     records = root / "records" / building
-    missing = [row for row in range(k, len(plan), n) if not (records / f"{row:06d}.json").exists()]
+    own = range(k, len(plan), n)
+    missing = [row for row in own if not (records / f"{row:06d}.json").exists()]
 
     def work(row: int) -> None:
         sample = render_sample(studio, plan, row, cameras, environments or {}, settings)
@@ -278,7 +279,7 @@ def write_dataset(
 
     for count in _each(work, missing, workers):
         if progress is not None:
-            progress(len(plan) - len(missing) + count, len(plan))
+            progress(len(own) - len(missing) + count, len(own))
     done = [records / f"{row:06d}.json" for row in range(len(plan))]
     complete = all(path.exists() for path in done)
     if complete:
