@@ -48,12 +48,22 @@ class Texture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Rows and columns.
+
+        Example:
+            >>> Texture(np.zeros((2, 4, 3), np.uint8)).size
+            (2, 4)
+        """
         return self._native.size
 
     @property
     def mean(self) -> tuple[float, float, float]:
-        """Mean of linear RGB over the image."""
+        """Mean of linear RGB over the image.
+
+        Example:
+            >>> Texture(np.full((2, 4, 3), 255, np.uint8)).mean
+            (1.0, 1.0, 1.0)
+        """
         red, green, blue = self._native.mean
         return red, green, blue
 
@@ -86,7 +96,12 @@ class Environment:
 
     @property
     def mean(self) -> tuple[float, float, float]:
-        """Mean radiance over the sphere."""
+        """Mean radiance over the sphere, RGB.
+
+        Example:
+            >>> Environment(np.full((16, 32, 3), 0.5)).mean
+            (0.5, 0.5, 0.5)
+        """
         red, green, blue = self._native.mean
         return red, green, blue
 

@@ -9,8 +9,11 @@ the data set, and a funnel that says what each rule removed. The computation is 
 north-east-down becomes x north, y west, z up. **Body frame**: x forward, y left, z up. A pose of a
 drone is ``world_from_body``; what a camera sees is ``cam_from_model`` with OpenCV axes.
 
-Names are imported when they are first used; none needs torch. Pictures (:func:`draw_poses`,
-:func:`draw_map`) need matplotlib, ``pip install "dronepose[synth]"``.
+A scene and a drone are read with their textures (:func:`load_asset`), and a :class:`Studio` draws
+every modality of the plan's rows, which :func:`write_dataset` writes in the layout of UAVA.
+
+Names are imported when they are first used; none needs torch. Rendering and pictures need the
+packages of ``pip install "dronepose[synth]"``.
 """
 
 from __future__ import annotations
@@ -20,6 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dronepose.synth.anchors import Anchors, read_anchors, sample_free_space
+    from dronepose.synth.asset import Asset, AssetError, load_asset, load_placements, merged
+    from dronepose.synth.dataset import RenderSettings, SynthError, render_sample, write_dataset
     from dronepose.synth.example import write_example
     from dronepose.synth.flight import (
         Flight,
@@ -30,57 +35,89 @@ if TYPE_CHECKING:
         read_flight,
     )
     from dronepose.synth.plan import Plan, PlanTable, make_plan, read_plan
+    from dronepose.synth.preview import preview
     from dronepose.synth.report import draw_map, draw_poses
+    from dronepose.synth.rooms import example_hall
     from dronepose.synth.rules import Funnel, FunnelStep, Rules
+    from dronepose.synth.sheet import draw_sheet
     from dronepose.synth.splits import SceneSplits, check_splits, read_splits
+    from dronepose.synth.studio import Frame, Studio
 
 __all__ = [
     "Anchors",
+    "Asset",
+    "AssetError",
     "Flight",
+    "Frame",
     "Funnel",
     "FunnelStep",
     "Issue",
     "Placement",
     "Plan",
     "PlanTable",
+    "RenderSettings",
     "Rules",
     "SceneSplits",
+    "Studio",
+    "SynthError",
     "Track",
     "check_splits",
     "draw_map",
     "draw_poses",
+    "draw_sheet",
+    "example_hall",
     "fit_placement",
+    "load_asset",
+    "load_placements",
     "make_plan",
+    "merged",
+    "preview",
     "read_anchors",
     "read_flight",
     "read_plan",
     "read_splits",
+    "render_sample",
     "sample_free_space",
+    "write_dataset",
     "write_example",
 ]
 
 _HOME = {
     "Anchors": "anchors",
+    "Asset": "asset",
+    "AssetError": "asset",
     "Flight": "flight",
+    "Frame": "studio",
     "Funnel": "rules",
     "FunnelStep": "rules",
     "Issue": "flight",
     "Placement": "flight",
     "Plan": "plan",
     "PlanTable": "plan",
+    "RenderSettings": "dataset",
     "Rules": "rules",
     "SceneSplits": "splits",
+    "Studio": "studio",
+    "SynthError": "dataset",
     "Track": "flight",
     "check_splits": "splits",
     "draw_map": "report",
     "draw_poses": "report",
+    "draw_sheet": "sheet",
+    "example_hall": "rooms",
     "fit_placement": "flight",
+    "load_asset": "asset",
+    "load_placements": "asset",
     "make_plan": "plan",
+    "merged": "asset",
+    "preview": "preview",
     "read_anchors": "anchors",
     "read_flight": "flight",
     "read_plan": "plan",
     "read_splits": "splits",
+    "render_sample": "dataset",
     "sample_free_space": "anchors",
+    "write_dataset": "dataset",
     "write_example": "example",
 }
 

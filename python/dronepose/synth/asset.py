@@ -60,6 +60,16 @@ class Asset:
     def plain(cls, mesh: Mesh, colour: tuple[float, float, float] = _GREY) -> Asset:
         """One linear colour for all faces.
 
+        Args:
+            mesh: The mesh.
+            colour: Linear RGB.
+
+        Returns:
+            The asset.
+
+        Raises:
+            AttributeError: ``mesh`` is no mesh.
+
         Example:
             >>> Asset.plain(Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])).uv.shape
             (1, 3, 2)
@@ -74,15 +84,37 @@ class Asset:
             lit: Whether light falls on it.
             roughness: 0 for a mirror to 1.
             metallic: 0 for plastics, 1 for metals.
+
+        Returns:
+            Another asset.
+
+        Raises:
+            Nothing here; what is out of range is refused when it is drawn.
+
+        Example:
+            >>> square = Mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0]], [[0, 1, 2]])
+            >>> Asset.plain(square).look(lit=False).materials[0].lit
+            False
         """
         made = [replace(m, lit=lit, roughness=roughness, metallic=metallic) for m in self.materials]
         return replace(self, materials=tuple(made))
 
     def moved(self, matrix: ArrayLike) -> Asset:
-        """The same with vertices ``matrix @ (x, y, z, 1)``, ``matrix`` ``(3, 4)`` or ``(4, 4)``.
+        """The same at another place.
+
+        Args:
+            matrix: ``(3, 4)`` or ``(4, 4)``; vertices become ``matrix @ (x, y, z, 1)``.
+
+        Returns:
+            Another asset.
 
         Raises:
             ValueError: Another shape, or numbers that are not finite.
+
+        Example:
+            >>> square = Mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0]], [[0, 1, 2]])
+            >>> Asset.plain(square).moved(2 * np.eye(4)).mesh.bounds[1].tolist()
+            [2.0, 2.0, 0.0]
         """
         m = np.asarray(matrix, dtype=np.float64)
         if m.shape not in ((3, 4), (4, 4)) or not np.isfinite(m).all():
@@ -94,8 +126,19 @@ class Asset:
 def merged(assets: Sequence[Asset]) -> Asset:
     """One asset of several, in their order.
 
+    Args:
+        assets: At least one.
+
+    Returns:
+        The asset; materials that are the same object are shared.
+
     Raises:
         ValueError: There is none.
+
+    Example:
+        >>> square = Asset.plain(Mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0]], [[0, 1, 2]]))
+        >>> len(merged([square, square]).mesh.faces)
+        2
     """
     if not assets:
         raise ValueError("assets: expected at least one")

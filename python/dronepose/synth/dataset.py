@@ -123,6 +123,11 @@ def render_sample(
 
     Raises:
         ValueError: A pose cannot be drawn.
+
+    Example:
+        >>> sample = render_sample(studio, plan, 0, cameras, {}, RenderSettings())  # doctest: +SKIP
+        >>> sample.facts["kept"]  # doctest: +SKIP
+        1
     """
     poses = {name: _pose(plan, name, row) for name in
              ("exo", "ego", "ego_next", "drone", "drone_next")}  # fmt: skip
@@ -243,6 +248,11 @@ def write_dataset(
         SynthError: The folder holds a data set of other settings, the scene is in another split,
             or a name cannot be part of a file's name.
         OSError: A file cannot be written.
+
+    Example:
+        >>> made = write_dataset("set", plan, studio, cameras, building="hall")  # doctest: +SKIP
+        >>> made["kept"]  # doctest: +SKIP
+        600
     """
     root, settings = Path(root), settings or RenderSettings()
     for name, value in (("building", building), ("date", date), ("drone", drone)):

@@ -38,10 +38,13 @@ def example_hall(seed: int = 0) -> Asset:
     Returns:
         The scene, metres, z up.
 
+    Raises:
+        ValueError: ``seed`` is negative.
+
     Example:
         >>> hall = example_hall()
         >>> len(hall.mesh.faces), hall.mesh.bounds[1].tolist()
-        (132, [9.9, 7.4, 3.2])
+        (252, [9.9, 7.4, 3.2])
     """
     generator = np.random.default_rng([seed, 7])
     low, high = np.array(LOW), np.array(HIGH)

@@ -53,7 +53,12 @@ class Frame:
 
     @property
     def seen(self) -> float:
-        """Share of the drones' area in the image that nothing hides, 0 to 1; 0 without drones."""
+        """Share of the drones' area in the image that nothing hides, 0 to 1; 0 without drones.
+
+        Example:
+            >>> frame.seen  # doctest: +SKIP
+            0.98
+        """
         area = float(self.silhouette.sum(dtype=np.float64))
         return min(1.0, float(self.matte.sum(dtype=np.float64)) / area) if area > 0 else 0.0
 
@@ -118,6 +123,11 @@ class Studio:
         Raises:
             ValueError: The number of poses is neither 0 nor that of the drones; or as
                 :func:`dronepose.render.colour`.
+
+        Example:
+            >>> frame = studio.frame(camera, (R, t), [(R_drone, t_drone)])  # doctest: +SKIP
+            >>> frame.depth.shape  # doctest: +SKIP
+            (240, 320)
         """
         count = 1 + len(world_from_drones)
         R, t = self._views(cam_from_world, world_from_drones)
@@ -188,6 +198,9 @@ class Studio:
 
         Raises:
             ValueError: The numbers of drones differ.
+
+        Example:
+            >>> moved = studio.flow(camera, (pose, [drone]), (pose, [drone_next]))  # doctest: +SKIP
         """
         if len(first[1]) != len(second[1]):
             raise ValueError("second: expected as many drones as in the first")
