@@ -26,6 +26,7 @@ __all__ = [
     "colours",
     "evaluate",
     "flow",
+    "fly_coins",
     "free_space",
     "gbuffer",
     "mask_loss",
@@ -443,6 +444,9 @@ def free_space(
     threads: int,
 ) -> NDArray[float64]:
     """Points in free space, ``(count, 3)`` metres."""
+
+def fly_coins(mesh: Mesh | None, coins: NDArray[float64], pilot: str) -> tuple[Track, str]:
+    """A flight through coins ``(N, 3)`` metres, and what happened on it as JSON."""
 
 def synth_defaults() -> str:
     """The settings of flights and rules as JSON."""

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 EXAMPLE = """\
 examples:
   dronepose synth example demo
-  dronepose synth plan --flight demo/flight.txt --anchors demo/anchors.csv --out demo/plan.csv
+  dronepose synth fly --coins demo/anchors.csv --scene example --out demo/flown.txt
+  dronepose synth plan --flight demo/flown.txt --anchors demo/anchors.csv --out demo/plan.csv
   dronepose synth report demo/plan.csv --out demo
   dronepose synth render demo/plan.csv --out demo/data
   dronepose synth sheet demo/data --out demo/sheet.png
@@ -42,6 +43,14 @@ examples:
 Points are uniform in the box (by default that of the mesh, which is in metres with z up), as far
 from its surface and from one another as is asked for. Outside of a closed scene is as free as
 inside: the box says where to look.
+"""
+FLY = """\
+examples:
+  dronepose synth fly --coins demo/anchors.csv --scene example --seconds 60 --out demo/flown.txt
+  dronepose synth fly --coins anchors.csv --scene house.glb --seed 3 --variance 0.5 --out flight.txt
+
+Writes a flight of a quadrotor that collects coins at the anchors and keeps away from the walls, in
+the format of TUM (seconds, metres, quaternion x y z w, world_from_body), for synth plan.
 """
 RENDER = """\
 examples:
@@ -305,6 +314,40 @@ def _anchors(args: argparse.Namespace, stage: Stages) -> int:
     return 0
 
 
+def _fly(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth import Pilot, fly, read_anchors
+
+    stage("reading the coins")
+    coins = read_anchors(args.coins)
+    mesh = None
+    if args.scene is not None:
+        from dronepose.synth.inputs import read_scene
+
+        stage("reading the scene")
+        mesh = read_scene(args.scene, metres_per_unit=args.scene_unit)[0].mesh
+    pilot = Pilot(
+        seed=args.seed,
+        seconds=args.seconds,
+        speed_m_s=args.speed,
+        clearance_m=args.clearance,
+        variance=args.variance,
+    )
+    stage("flying")
+    flown = fly(coins.positions, mesh, pilot)
+    flown.write_tum(args.out)
+    if args.json:
+        print(json.dumps({"flight": str(args.out), **flown.facts}, indent=2))
+        return 0
+    wall = flown.facts["nearest_wall_m"]
+    lost = [coins.names[k] for k in flown.facts["unreachable"]]
+    print(
+        f"{args.out}: {len(flown.track)} poses, {len(flown.facts['collected'])} coins collected"
+        + (f", never nearer than {wall:.2f} m to a wall" if wall is not None else "")
+        + (f"; cannot be reached: {', '.join(lost)}" if lost else "")
+    )
+    return 0
+
+
 def _render(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth.rendering import render_plan
 
@@ -370,6 +413,7 @@ def _parser() -> argparse.ArgumentParser:
     _anchor_options(
         command("anchors", "choose places in the free space of a scene", ANCHORS, _anchors)
     )
+    _fly_options(command("fly", "fly through a scene without a simulator", FLY, _fly))
     _render_options(command("render", "render a plan to a data set", RENDER, _render))
     sheet = command("sheet", "draw a contact sheet of a rendered data set", SHEET, _sheet)
     sheet.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
@@ -379,6 +423,12 @@ def _parser() -> argparse.ArgumentParser:
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")
     return parser
+
+
+def _fly_options(parser: argparse.ArgumentParser) -> None:
+    from dronepose.synth.options import add_fly_options
+
+    add_fly_options(parser)
 
 
 def _render_options(parser: argparse.ArgumentParser) -> None:

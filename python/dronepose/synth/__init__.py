@@ -1,8 +1,9 @@
 """From a flight and a scan to training data: the data set of the DronePose paper, for anybody.
 
-A flight is read from a log (:func:`read_flight`), brought to a steady rate and placed among the
-anchors of a scene (:func:`read_anchors`, :func:`fit_placement`); rules choose the poses that are
-kept and draw a view on each (:func:`make_plan`). The plan holds every pose that is needed to render
+A flight is read from a log (:func:`read_flight`) or flown here (:func:`fly`), brought to a steady
+rate and placed among the anchors of a scene (:func:`read_anchors`, :func:`fit_placement`); rules
+choose the poses that are kept and draw a view on each (:func:`make_plan`). The plan holds every
+pose that is needed to render
 the data set, and a funnel that says what each rule removed. The computation is Rust.
 
 **World frame**: metres, z up, right-handed. A file whose z is up keeps its horizontal axes;
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
         fit_placement,
         read_flight,
     )
+    from dronepose.synth.flyer import Flown, Pilot, fly
     from dronepose.synth.plan import Plan, PlanTable, make_plan, read_plan
     from dronepose.synth.preview import preview
     from dronepose.synth.report import draw_map, draw_poses
@@ -48,10 +50,12 @@ __all__ = [
     "Asset",
     "AssetError",
     "Flight",
+    "Flown",
     "Frame",
     "Funnel",
     "FunnelStep",
     "Issue",
+    "Pilot",
     "Placement",
     "Plan",
     "PlanTable",
@@ -67,6 +71,7 @@ __all__ = [
     "draw_sheet",
     "example_hall",
     "fit_placement",
+    "fly",
     "load_asset",
     "load_placements",
     "make_plan",
@@ -87,10 +92,12 @@ _HOME = {
     "Asset": "asset",
     "AssetError": "asset",
     "Flight": "flight",
+    "Flown": "flyer",
     "Frame": "studio",
     "Funnel": "rules",
     "FunnelStep": "rules",
     "Issue": "flight",
+    "Pilot": "flyer",
     "Placement": "flight",
     "Plan": "plan",
     "PlanTable": "plan",
@@ -106,6 +113,7 @@ _HOME = {
     "draw_sheet": "sheet",
     "example_hall": "rooms",
     "fit_placement": "flight",
+    "fly": "flyer",
     "load_asset": "asset",
     "load_placements": "asset",
     "make_plan": "plan",

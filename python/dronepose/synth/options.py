@@ -228,3 +228,21 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add("--samples", type=int, default=3, metavar="N", help="points along a pixel's side [3]")
     add("--workers", type=int, default=0, metavar="N", help="rows at a time [one a core]")
     add("--shard", default="0/1", metavar="K/N", help="every N-th row from the K-th on [0/1]")
+
+
+def add_fly_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``dronepose synth fly``.
+
+    Args:
+        parser: The parser.
+    """
+    add = parser.add_argument
+    add("--coins", type=Path, required=True, metavar="FILE", help="anchors; begins at the first")
+    add("--scene", metavar="FILE", help="walls: placements, a mesh, or example [none]")
+    add("--scene-unit", type=float, default=1.0, metavar="M", help="metres of its unit [1]")
+    add("--out", type=Path, required=True, metavar="FILE", help="flight to write")
+    add("--seconds", type=float, default=60.0, metavar="S", help="length [60]")
+    add("--speed", type=float, default=1.6, metavar="V", help="asked for, m/s [1.6]")
+    add("--clearance", type=float, default=0.4, metavar="M", help="to walls, metres [0.4]")
+    add("--variance", type=float, default=0.3, metavar="X", help="the pilot's, 0 to 1 [0.3]")
+    add("--seed", type=int, default=0, metavar="S", help="of the flight [0]")

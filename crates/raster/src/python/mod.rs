@@ -39,7 +39,9 @@ mod _native {
     #[pymodule_export]
     use super::silhouette::{PyModel, PyTraces, silhouette, silhouette_gradients};
     #[pymodule_export]
-    use super::synth::{PyFlight, PyPlan, PyTrack, free_space, read_anchors, synth_defaults};
+    use super::synth::{
+        PyFlight, PyPlan, PyTrack, fly_coins, free_space, read_anchors, synth_defaults,
+    };
 
     #[pymodule_export]
     #[expect(non_upper_case_globals, reason = "the name that Python gives it")]

@@ -17,6 +17,7 @@ use crate::Error;
 use crate::rotation;
 use crate::synth::anchors;
 use crate::synth::flight::{self, Flight, Track};
+use crate::synth::fly::{self, Pilot};
 use crate::synth::free::{self, FreeSpace};
 use crate::synth::place::{self, Fit, Placement};
 use crate::synth::plan::{self, Plan};
@@ -330,6 +331,28 @@ pub(super) fn free_space<'py>(
     let mesh = mesh.as_deref().map(PyMesh::mesh);
     let found = py.detach(|| free::free_space(mesh, &space, threads))?;
     Ok(vectors(py, &found))
+}
+
+/// A flight through coins `(N, 3)` metres, and what happened on it as JSON.
+#[pyfunction]
+pub(super) fn fly_coins(
+    py: Python<'_>,
+    mesh: Option<PyRef<'_, PyMesh>>,
+    coins: PyReadonlyArray2<'_, f64>,
+    pilot: &str,
+) -> PyResult<(PyTrack, String)> {
+    let pilot: Pilot = settings("pilot", pilot)?;
+    let coins = points("coins", &coins)?;
+    let mesh = mesh.as_deref().map(PyMesh::mesh);
+    let flown = py.detach(|| fly::fly(mesh, &coins, &pilot))?;
+    let wall = flown.nearest_wall_m;
+    let facts = serde_json::json!({
+        "pilot": pilot,
+        "collected": flown.collected,
+        "unreachable": flown.unreachable,
+        "nearest_wall_m": if wall.is_finite() { Some(wall) } else { None },
+    });
+    Ok((PyTrack(flown.track), json(&facts)?))
 }
 
 /// The settings of flights and rules as JSON.

@@ -12,6 +12,7 @@
 pub mod anchors;
 pub mod axes;
 pub mod flight;
+pub mod fly;
 pub mod free;
 pub mod place;
 pub mod plan;
