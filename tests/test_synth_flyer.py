@@ -59,7 +59,7 @@ def test_files_are_read_back(flown, tmp_path):
     np.testing.assert_allclose(back.positions, flown.track.positions, atol=1e-6)
     dots = np.abs((back.quat_wxyz * flown.track.quat_wxyz).sum(axis=1))
     np.testing.assert_allclose(dots, 1, atol=1e-9)
-    assert '"seed": 1' in path.read_text().splitlines()[0]
+    assert " seed=1 " in path.read_text().splitlines()[0]
 
 
 def test_a_seed_is_a_flight(hall):

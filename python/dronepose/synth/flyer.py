@@ -78,8 +78,9 @@ class Flown:
             >>> fly([[0, 0, 1.5], [2, 0, 1.5]]).write_tum("flight.txt")  # doctest: +SKIP
         """
         rate, t, q = self.track.rate_hz, self.track.positions, self.track.quat_wxyz
+        settings = " ".join(f"{name}={value}" for name, value in self.facts["pilot"].items())
         lines = [
-            f"# dronepose {_native.__version__} synth fly: {json.dumps(self.facts['pilot'])}",
+            f"# dronepose {_native.__version__} synth fly: {settings}",
             "# seconds x y z qx qy qz qw; metres, z up; world_from_body, x ahead, y left, z up",
         ]
         for k, (p, (w, x, y, z)) in enumerate(zip(t.tolist(), q.tolist(), strict=True)):
