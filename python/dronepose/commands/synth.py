@@ -20,6 +20,7 @@ examples:
   dronepose synth report demo/plan.csv --out demo
   dronepose synth render demo/plan.csv --out demo/data
   dronepose synth sheet demo/data --out demo/sheet.png
+  dronepose synth doctor demo/data
 """
 PLAN = """\
 examples:
@@ -56,6 +57,16 @@ The same command goes on where it was stopped. The layout is UAVA's: dronepose t
 SHEET = """\
 example:
   dronepose synth sheet demo/data --out demo/sheet.png
+"""
+DOCTOR = """\
+examples:
+  dronepose synth doctor demo/data
+  dronepose synth doctor data --mesh DJI.obj --limit 200 --json
+
+Looks at manifest, records, files, lists and poses of the whole folder, and compares the images of
+each kept sample with one another: depth with normals, silhouette with pose and mesh, matte with
+both, colours by the flow between the two times. Ends with 0 if all is well, 1 if something is
+wrong, 2 if the command was not understood.
 """
 REPORT = """\
 example:
@@ -324,6 +335,16 @@ def _sheet(args: argparse.Namespace, stage: Stages) -> int:
     return 0
 
 
+def _doctor(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth.doctor import check_dataset
+    from dronepose.synth.reading import ticker
+
+    stage("looking at the folder")
+    found = check_dataset(args.data, mesh=args.mesh, limit=args.limit, progress=ticker("samples"))
+    print(json.dumps(found.facts(), indent=2) if args.json else found)
+    return 0 if found.healthy else 1
+
+
 def _example(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import write_example
 
@@ -371,9 +392,20 @@ def _parser() -> argparse.ArgumentParser:
     sheet.add_argument("--building", metavar="NAME", help="which scene [the first]")
     sheet.add_argument("--rows", type=int, default=8, metavar="N", help="samples at most [8]")
     sheet.add_argument("--out", type=Path, required=True, metavar="PNG", help="file to write")
+    doctor = command("doctor", "check a rendered data set", DOCTOR, _doctor)
+    doctor.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
+    doctor.add_argument("--mesh", metavar="FILE", help="the drone's mesh [the example drone's]")
+    doctor.add_argument("--limit", type=_count, metavar="N", help="samples to look at [all]")
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")
     return parser
+
+
+def _count(text: str) -> int:
+    """A whole number of at least 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text!r}")
+    return int(text)
 
 
 def _render_options(parser: argparse.ArgumentParser) -> None:
