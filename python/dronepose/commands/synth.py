@@ -68,6 +68,14 @@ each kept sample with one another: depth with normals, silhouette with pose and 
 both, colours by the flow between the two times. Ends with 0 if all is well, 1 if something is
 wrong, 2 if the command was not understood.
 """
+EXPORT = """\
+examples:
+  dronepose synth export demo/data --format bop --out demo/bop
+  dronepose synth export data --format bop --mesh DJI.obj --out bop
+
+Writes all kept samples, both times, into a new folder: bop has the exocentric view, in millimetres.
+The folder is there when all of it is.
+"""
 REPORT = """\
 example:
   dronepose synth report demo/plan.csv --out demo
@@ -345,6 +353,19 @@ def _doctor(args: argparse.Namespace, stage: Stages) -> int:
     return 0 if found.healthy else 1
 
 
+def _export(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth.export import export_bop
+    from dronepose.synth.reading import ticker
+
+    stage("exporting")
+    made = export_bop(args.data, args.out, mesh=args.mesh, progress=ticker("samples"))
+    if args.json:
+        print(json.dumps({"out": str(args.out), **made}, indent=2))
+    else:
+        print(f"{args.out}: {made['images']} images of {made['samples']} samples")
+    return 0
+
+
 def _example(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import write_example
 
@@ -396,6 +417,11 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
     doctor.add_argument("--mesh", metavar="FILE", help="the drone's mesh [the example drone's]")
     doctor.add_argument("--limit", type=_count, metavar="N", help="samples to look at [all]")
+    export = command("export", "write a rendered data set in another format", EXPORT, _export)
+    export.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
+    export.add_argument("--format", required=True, choices=("bop",), help="which")
+    export.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    export.add_argument("--mesh", metavar="FILE", help="the drone's mesh [the example drone's]")
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")
     return parser
