@@ -1,7 +1,9 @@
 """A rendered data set in other formats, read back."""
 
+import hashlib
 import json
 import shutil
+import tarfile
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ from dronepose.synth.dataset import SynthError  # noqa: E402
 from dronepose.synth.encode import decode_depth, read_png  # noqa: E402
 from dronepose.synth.export import export_bop, rle_counts, whole_folder  # noqa: E402
 from dronepose.synth.inputs import cameras_of  # noqa: E402
+from dronepose.synth.reading import MODALITIES  # noqa: E402
+from dronepose.synth.shards import export_webdataset  # noqa: E402
 from synth_set import kept_rows, write_tiny  # noqa: E402
 
 
@@ -232,3 +236,99 @@ def test_the_command_exports_bop(made, tmp_path):
     done = run("synth", "export", other, *arguments[3:-1], tmp_path / "new", name="dronepose")
     assert done.returncode == 1
     assert "needs --mesh FILE (DJI.obj was rendered)" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def shards(made, tmp_path_factory):
+    out = tmp_path_factory.mktemp("shards") / "out"
+    export_webdataset(made[0], out, shard_size=2)
+    return out
+
+
+def members(path):
+    with tarfile.open(path) as archive:
+        return [(one, archive.extractfile(one).read()) for one in archive]
+
+
+def test_shards_hold_every_image_and_the_poses(made, shards):
+    root, table = made
+    camera = cameras_of(table)[0]
+    for split, building in (("train", "hall"), ("val", "other")):
+        files = [one for path in sorted(shards.glob(f"{split}-*.tar")) for one in members(path)]
+        found = {one.name: content for one, content in files}
+        assert len(found) == len(files) == 24 * len(kept_rows(root, building))
+        for row in kept_rows(root, building):
+            for step in (0, 1):
+                key = f"{building}_{row:06d}_{step}"
+                for view, prefix in (("exocentric", ""), ("egocentric", "ego_")):
+                    for modality in MODALITIES[view]:
+                        name = f"{row}_flight_{step}_{modality}_{view}_0.png"
+                        content = (root / "drone" / view / modality / building / name).read_bytes()
+                        assert found[f"{key}.{prefix}{modality}.png"] == content
+                facts = json.loads(found[f"{key}.json"])
+                R, t = table.pose("next" if step else "")
+                np.testing.assert_allclose(facts["R"], R[row], atol=1e-9)
+                np.testing.assert_allclose(facts["t"], t[row], atol=1e-9)
+                np.testing.assert_array_equal(facts["K"], camera.K)
+                record = root / f"records/{building}/{row:06d}.json"
+                assert facts["facts"] == load(record)
+                assert (facts["row"], facts["time"], facts["split"]) == (row, step, split)
+
+
+def test_shards_keep_pairs_together_and_names_in_order(made, shards):
+    facts = load(shards / "shards.json")
+    assert sum(shard["samples"] for shard in facts["shards"]) == facts["samples"]
+    assert {path.name for path in shards.iterdir()} == {
+        "shards.json", *(shard["file"] for shard in facts["shards"]),
+    }  # fmt: skip
+    for shard in facts["shards"]:
+        assert 0 < shard["samples"] <= 2
+        path = shards / shard["file"]
+        assert shard["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+        names = [one.name for one, _ in members(path)]
+        assert names == sorted(names)
+        keys = list(dict.fromkeys(name.split(".")[0] for name in names))
+        assert len(keys) == shard["keys"] == 2 * shard["samples"]
+        assert [key[-2:] for key in keys] == ["_0", "_1"] * shard["samples"]
+        for one, _ in members(path):
+            header = (one.mtime, one.uid, one.gid, one.uname, one.gname, one.mode)
+            assert header == (0, 0, 0, "", "", 0o644)
+
+
+def test_two_runs_give_the_same_bytes(made, shards, tmp_path):
+    other = tmp_path / "copy"
+    shutil.copytree(made[0], other, copy_function=shutil.copyfile)  # other times and owners
+    export_webdataset(other, tmp_path / "out", shard_size=2)
+    first, second = (
+        {path.name: path.read_bytes() for path in folder.iterdir()}
+        for folder in (shards, tmp_path / "out")
+    )
+    assert first == second
+    with pytest.raises(ValueError, match="shard_size"):
+        export_webdataset(other, tmp_path / "new", shard_size=0)
+
+
+def test_shards_that_fail_leave_nothing(made, tmp_path):
+    root = tmp_path / "data"
+    shutil.copytree(made[0], root)
+    gone = sorted((root / "drone/egocentric/flow/other").iterdir())[-1]
+    gone.unlink()
+    with pytest.raises(FileNotFoundError, match=gone.name):
+        export_webdataset(root, tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_the_command_exports_webdataset(made, tmp_path):
+    arguments = ["synth", "export", made[0], "--format", "webdataset", "--out"]
+    done = run(*arguments, tmp_path / "out", "--shard-size", 3, name="dronepose")
+    assert done.returncode == 0, done.stderr
+    assert "keys, in" in done.stdout
+    assert (tmp_path / "out/train-000000.tar").exists()
+    for wrong, code, message in (
+        (["--shard-size", 0], 2, "at least 1"),
+        (["--mesh", "a.obj"], 1, "--mesh: only for --format bop"),
+        (["--format", "bop", "--shard-size", 1], 1, "--shard-size: only for --format webdataset"),
+    ):
+        done = run(*arguments, tmp_path / "new", *wrong, name="dronepose")
+        assert (done.returncode, message in done.stderr) == (code, True), done.stderr
+    assert not (tmp_path / "new").exists()

@@ -72,9 +72,10 @@ EXPORT = """\
 examples:
   dronepose synth export demo/data --format bop --out demo/bop
   dronepose synth export data --format bop --mesh DJI.obj --out bop
+  dronepose synth export demo/data --format webdataset --shard-size 100 --out demo/shards
 
-Writes all kept samples, both times, into a new folder: bop has the exocentric view, in millimetres.
-The folder is there when all of it is.
+Writes all kept samples, both times, into a new folder: bop has the exocentric view, in millimetres,
+webdataset has tar files with all images of both views. The folder is there when all of it is.
 """
 REPORT = """\
 example:
@@ -354,15 +355,27 @@ def _doctor(args: argparse.Namespace, stage: Stages) -> int:
 
 
 def _export(args: argparse.Namespace, stage: Stages) -> int:
-    from dronepose.synth.export import export_bop
     from dronepose.synth.reading import ticker
 
     stage("exporting")
-    made = export_bop(args.data, args.out, mesh=args.mesh, progress=ticker("samples"))
-    if args.json:
-        print(json.dumps({"out": str(args.out), **made}, indent=2))
+    if args.format == "bop":
+        from dronepose.synth.export import export_bop
+
+        if args.shard_size is not None:
+            raise ValueError("--shard-size: only for --format webdataset")
+        made = export_bop(args.data, args.out, mesh=args.mesh, progress=ticker("samples"))
+        text = f"{made['images']} images of {made['samples']} samples"
     else:
-        print(f"{args.out}: {made['images']} images of {made['samples']} samples")
+        from dronepose.synth.shards import export_webdataset
+
+        if args.mesh is not None:
+            raise ValueError("--mesh: only for --format bop")
+        made = export_webdataset(
+            args.data, args.out, shard_size=args.shard_size or 500, progress=ticker("samples")
+        )
+        text = f"{made['samples']} samples, {made['keys']} keys, in {len(made['shards'])} shards"
+    print(json.dumps({"out": str(args.out), **made}, indent=2) if args.json else
+          f"{args.out}: {text}")  # fmt: skip
     return 0
 
 
@@ -419,9 +432,12 @@ def _parser() -> argparse.ArgumentParser:
     doctor.add_argument("--limit", type=_count, metavar="N", help="samples to look at [all]")
     export = command("export", "write a rendered data set in another format", EXPORT, _export)
     export.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
-    export.add_argument("--format", required=True, choices=("bop",), help="which")
+    export.add_argument("--format", required=True, choices=("bop", "webdataset"), help="which")
     export.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
-    export.add_argument("--mesh", metavar="FILE", help="the drone's mesh [the example drone's]")
+    export.add_argument("--mesh", metavar="FILE", help="bop: the drone's [the example drone's]")
+    export.add_argument(
+        "--shard-size", type=_count, metavar="N", help="webdataset: samples a file [500]"
+    )
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")
     return parser
