@@ -228,6 +228,41 @@ def test_depth_of_another_unit(root):
     assert "normals" not in failed(root)  # they do not depend on the scale
 
 
+def test_poses_of_another_unit(root):
+    def millimetres(table, names):
+        places = [k for k, name in enumerate(names) if name.startswith(("Position", "Pilot("))]
+        table[:, places] *= 1000
+        return table
+
+    rewrite(root / "trajectories/hall/flight/poses_blender.txt", millimetres)
+    found = check_dataset(root)
+    assert found["depth"].measured == pytest.approx(0.001, rel=0.3)
+    assert "times the distance of the pose" in found["depth"].problems[0]
+    for path in (root / "scenes").glob("*.json"):
+        edit(path, lambda x: x["inputs"].update(drone={"file": "DJI.obj"}))
+    assert "depth" in failed(root)  # without a mesh too
+
+
+def test_a_camera_of_another_focal_length(root):
+    edit(root / "scenes/hall.json", lambda x: x["cameras"]["exocentric"].update(fx=100.0))
+    assert {"silhouette", "motion", "normals"} <= failed(root)
+
+
+def test_files_that_cannot_be_understood(root):
+    for content in ("[]", "{}", "{"):
+        (root / "dataset.json").write_text(content)
+        assert failed(root) == {"manifest"}
+    (root / "trajectories/hall/flight/poses_blender.txt").unlink()
+    assert "poses_blender.txt: is missing" in check_dataset(root)["poses"].problems[0]
+    edit(root / "scenes/hall.json", lambda x: x.update(rows="5"))
+    with pytest.raises(ValueError, match="rows: expected a whole number"):
+        check_dataset(root)
+    edit(root / "scenes/hall.json", lambda x: x.update(rows=4))
+    (root / "scenes/hall.csv").write_bytes(b"\xff")
+    with pytest.raises(ValueError, match=r"hall\.csv: not UTF-8 at byte 0"):
+        check_dataset(root)
+
+
 def test_depth_out_of_range(root):
     change(root, "depth", lambda image: image // 60, "egocentric")
     assert "range" in failed(root)

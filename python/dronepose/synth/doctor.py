@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from dronepose.synth import _measures as measures
 from dronepose.synth._findings import CHECKS, NEEDS, Finding
 from dronepose.synth.dataset import FORMAT
 from dronepose.synth.encode import ENCODINGS, decode_depth, decode_flow, decode_normal
-from dronepose.synth.reading import MODALITIES, SceneFolder, drone_mesh, read_scenes
+from dronepose.synth.reading import MODALITIES, SceneFolder, drone_mesh, read_lines, read_scenes
 from dronepose.synth.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["Diagnosis", "check_dataset"]
 
 _OF_DRONE = ("silhouette", "depth", "sync", "motion")
+_ROUGH = 2.0  # as a drone has an extent
 _NOISE = 2.0  # of 255: what colours differ by after a good warp where there is little texture
 _KINDS = {
     "colour": ("uint8", 3),
@@ -166,15 +166,17 @@ def _manifest(root: Path, scenes: list[SceneFolder], finding: Finding) -> None:
         problems.append(f"{path}: is missing: the data set is not complete")
     else:
         try:
-            facts = json.loads(path.read_text(encoding="utf-8"))
+            facts = json.loads("\n".join(read_lines(path)))
         except ValueError as error:
-            facts, problems = {}, [f"{path}: no JSON: {error}"]
-        if facts and facts.get("format") != FORMAT:
-            problems.append(f"{path}: format: expected {FORMAT!r}, found {facts.get('format')!r}")
-        for name, text in ENCODINGS.items() if facts else ():
-            held = facts.get("encodings", {}).get(name)
-            if held != text:
-                problems.append(f"{path}: encodings: {name}: expected {text!r}, found {held!r}")
+            facts, problems = None, [f"{path}: no JSON: {error}"]
+        held = facts if isinstance(facts, dict) else {}
+        if held.get("format") != FORMAT:
+            problems.append(f"{path}: format: expected {FORMAT!r}, found {held.get('format')!r}")
+        encodings = held.get("encodings")
+        for name, text in ENCODINGS.items():
+            found = encodings.get(name) if isinstance(encodings, dict) else None
+            if found != text:
+                problems.append(f"{path}: encodings: {name}: expected {text!r}, found {found!r}")
     for scene in scenes:
         file = root / "scenes" / f"{scene.building}.json"
         if scene.facts.get("complete") is not True:
@@ -192,9 +194,7 @@ def _listed(root: Path, split: str) -> list[str]:
     path = root / "data splits" / f"scenes_{split}.txt"
     if not path.is_file():
         return []
-    return [
-        name for line in path.read_text(encoding="utf-8").splitlines() if (name := line.strip())
-    ]
+    return [name for line in read_lines(path) if (name := line.strip())]
 
 
 def _splits(root: Path, scenes: list[SceneFolder], finding: Finding) -> None:
@@ -222,7 +222,7 @@ def _records(scene: SceneFolder, finding: Finding) -> list[int]:
     problems += [f"{name} row {k}: the plan has {rows} rows" for k in records if k >= rows]
     path = scene.root / "scenes" / f"{name}.csv"
     if path.is_file():
-        table = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
+        table = list(csv.DictReader(read_lines(path)))
         told = {line.get("row"): line.get("kept") for line in table}
         for k, record in records.items():
             if told.get(str(k)) != str(record["kept"]):
@@ -406,18 +406,39 @@ def _pose(
             if inside is not None:
                 out = [] if inside else [f"{place}: at pixel {x / z:.1f}, {y / z:.1f}"]
                 found["sync"].count(1, out)
-        if mesh is None:
-            continue
-        if "silhouette" in able:
+        if "depth" in able:
+            depth, drone = decode_depth(pictures[step, "depth"]), pictures[step, "instance"] >= 2
+            _unit(camera, depth, drone & (depth > 0), place, view, (mesh, z), found, threads)
+        if mesh is not None and "silhouette" in able:
             held = _share(pictures[step, "silhouette"])
             drawn = silhouette(mesh, camera, view[0][None], view[1][None], threads=threads)[0]
             found["silhouette"].add(measures.silhouette_error(drawn, held), place)
-        if "depth" in able:
-            depth, drone = decode_depth(pictures[step, "depth"]), pictures[step, "instance"] >= 2
-            plane = gbuffer(mesh, camera, *view, channels=("depth",), threads=threads).depth
-            assert plane is not None
-            both = drone & (plane > 0) & (depth > 0)
-            if measures.enough(int(both.sum())):
-                ratio = float(np.median(depth[both] / plane[both]))
-                words = f"depth is {ratio:.4g} times that of the drone under its pose: which unit?"
-                found["depth"].add(ratio, place, words)
+
+
+def _unit(
+    camera: Camera,
+    depth: NDArray[np.float32],
+    drone: NDArray[np.bool_],
+    place: str,
+    view: tuple[Array, Array],
+    model: tuple[Mesh | None, float],
+    found: dict[str, Finding],
+    threads: int,
+) -> None:
+    """Depth of the drone against that of its mesh, or roughly against the distance of its pose."""
+    mesh, distance = model
+    if not measures.enough(int(drone.sum())):
+        return
+    if mesh is not None:
+        plane = gbuffer(mesh, camera, *view, channels=("depth",), threads=threads).depth
+        assert plane is not None
+        both = drone & (plane > 0)
+        if measures.enough(int(both.sum())):
+            ratio = float(np.median(depth[both] / plane[both]))
+            words = f"depth is {ratio:.4g} times that of the drone under its pose: which unit?"
+            found["depth"].add(ratio, place, words)
+            return
+    ratio = float(np.median(depth[drone])) / distance
+    if not 1 / _ROUGH < ratio < _ROUGH:
+        words = f"depth is about {ratio:.2g} times the distance of the pose: which unit?"
+        found["depth"].add(ratio, place, words)

@@ -25,7 +25,15 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["MODALITIES", "Moments", "SceneFolder", "drone_mesh", "read_scenes", "ticker"]
+__all__ = [
+    "MODALITIES",
+    "Moments",
+    "SceneFolder",
+    "drone_mesh",
+    "read_lines",
+    "read_scenes",
+    "ticker",
+]
 
 MODALITIES = {
     "exocentric": ("colour", "depth", "normal_map", "flow", "silhouette", "matte", "instance"),
@@ -105,7 +113,10 @@ class SceneFolder:
             SynthError: It is no PNG.
         """
         path = self.file(row, step, view, modality)
-        content = path.read_bytes()
+        try:
+            content = path.read_bytes()
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{path}: is missing") from None
         if not content.endswith(_END):
             raise SynthError(f"{path}: the PNG file is cut off")
         try:
@@ -135,7 +146,7 @@ class SceneFolder:
             SynthError: A column or a number is missing.
         """
         path = self.flight
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_lines(path)
         names = lines[0].split("\t") if lines else []
         columns = {name: k for k, name in enumerate(names)}
         absent = [name for name in _flight_columns() if name not in columns]
@@ -203,12 +214,29 @@ def read_scenes(root: str | os.PathLike[str]) -> list[SceneFolder]:
         for key in ("building", "drone", "date", "split", "rows", "cameras"):
             if key not in facts:
                 raise SynthError(f"{path}: has no {key}")
+        if not isinstance(facts["rows"], int) or facts["rows"] < 0:
+            raise SynthError(f"{path}: rows: expected a whole number, got {facts['rows']!r}")
         try:
             cameras = {view: Camera(**facts["cameras"][view]) for view in MODALITIES}
         except (KeyError, TypeError, ValueError) as error:
             raise SynthError(f"{path}: cameras: {error}") from None
         found.append(SceneFolder(root, facts, cameras))
     return found
+
+
+def read_lines(path: Path) -> list[str]:
+    """The lines of a UTF-8 file.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        SynthError: It is not UTF-8.
+    """
+    try:
+        return path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: is missing") from None
+    except UnicodeDecodeError as error:
+        raise SynthError(f"{path}: not UTF-8 at byte {error.start}") from None
 
 
 def _json(path: Path) -> dict[str, Any]:
