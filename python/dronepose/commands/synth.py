@@ -21,6 +21,7 @@ examples:
   dronepose synth report demo/plan.csv --out demo
   dronepose synth render demo/plan.csv --out demo/data
   dronepose synth sheet demo/data --out demo/sheet.png
+  dronepose synth doctor demo/data
 """
 PLAN = """\
 examples:
@@ -65,6 +66,25 @@ The same command goes on where it was stopped. The layout is UAVA's: dronepose t
 SHEET = """\
 example:
   dronepose synth sheet demo/data --out demo/sheet.png
+"""
+DOCTOR = """\
+examples:
+  dronepose synth doctor demo/data
+  dronepose synth doctor data --mesh DJI.obj --limit 200 --json
+
+Looks at manifest, records, files, lists and poses of the whole folder, and compares the images of
+each kept sample with one another: depth with normals, silhouette with pose and mesh, matte with
+both, colours by the flow between the two times. Ends with 0 if all is well, 1 if something is
+wrong, 2 if the command was not understood.
+"""
+EXPORT = """\
+examples:
+  dronepose synth export demo/data --format bop --out demo/bop
+  dronepose synth export data --format bop --mesh DJI.obj --out bop
+  dronepose synth export demo/data --format webdataset --shard-size 100 --out demo/shards
+
+Writes all kept samples, both times, into a new folder: bop has the exocentric view, in millimetres,
+webdataset has tar files with all images of both views. The folder is there when all of it is.
 """
 REPORT = """\
 example:
@@ -372,6 +392,41 @@ def _sheet(args: argparse.Namespace, stage: Stages) -> int:
     return 0
 
 
+def _doctor(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth.doctor import check_dataset
+    from dronepose.synth.reading import ticker
+
+    stage("looking at the folder")
+    found = check_dataset(args.data, mesh=args.mesh, limit=args.limit, progress=ticker("samples"))
+    print(json.dumps(found.facts(), indent=2) if args.json else found)
+    return 0 if found.healthy else 1
+
+
+def _export(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth.reading import ticker
+
+    stage("exporting")
+    if args.format == "bop":
+        from dronepose.synth.export import export_bop
+
+        if args.shard_size is not None:
+            raise ValueError("--shard-size: only for --format webdataset")
+        made = export_bop(args.data, args.out, mesh=args.mesh, progress=ticker("samples"))
+        text = f"{made['images']} images of {made['samples']} samples"
+    else:
+        from dronepose.synth.shards import export_webdataset
+
+        if args.mesh is not None:
+            raise ValueError("--mesh: only for --format bop")
+        made = export_webdataset(
+            args.data, args.out, shard_size=args.shard_size or 500, progress=ticker("samples")
+        )
+        text = f"{made['samples']} samples, {made['keys']} keys, in {len(made['shards'])} shards"
+    print(json.dumps({"out": str(args.out), **made}, indent=2) if args.json else
+          f"{args.out}: {text}")  # fmt: skip
+    return 0
+
+
 def _example(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import write_example
 
@@ -385,6 +440,8 @@ def _example(args: argparse.Namespace, stage: Stages) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from dronepose.synth import options
+
     parser = argparse.ArgumentParser(
         prog="dronepose synth",
         description=__doc__,
@@ -405,45 +462,40 @@ def _parser() -> argparse.ArgumentParser:
         made.add_argument("--json", action="store_true", help="say what was done as JSON")
         return made
 
-    _plan_options(command("plan", "choose samples of a flight in a scene", PLAN, _plan))
+    options.add_plan_options(command("plan", "choose samples of a flight in a scene", PLAN, _plan))
     report = command("report", "draw the poses of a plan, and a map", REPORT, _report)
     report.add_argument("plan", type=Path, metavar="PLAN", help="plan.csv")
     report.add_argument("--manifest", type=Path, metavar="FILE", help="[plan.json beside it]")
     report.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
-    _anchor_options(
+    options.add_anchor_options(
         command("anchors", "choose places in the free space of a scene", ANCHORS, _anchors)
     )
-    _fly_options(command("fly", "fly through a scene without a simulator", FLY, _fly))
-    _render_options(command("render", "render a plan to a data set", RENDER, _render))
+    options.add_fly_options(command("fly", "fly through a scene without a simulator", FLY, _fly))
+    options.add_render_options(command("render", "render a plan to a data set", RENDER, _render))
     sheet = command("sheet", "draw a contact sheet of a rendered data set", SHEET, _sheet)
     sheet.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
     sheet.add_argument("--building", metavar="NAME", help="which scene [the first]")
     sheet.add_argument("--rows", type=int, default=8, metavar="N", help="samples at most [8]")
     sheet.add_argument("--out", type=Path, required=True, metavar="PNG", help="file to write")
+    doctor = command("doctor", "check a rendered data set", DOCTOR, _doctor)
+    doctor.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
+    doctor.add_argument("--mesh", metavar="FILE", help="the drone's mesh [the example drone's]")
+    doctor.add_argument("--limit", type=_count, metavar="N", help="samples to look at [all]")
+    export = command("export", "write a rendered data set in another format", EXPORT, _export)
+    export.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
+    export.add_argument("--format", required=True, choices=("bop", "webdataset"), help="which")
+    export.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    export.add_argument("--mesh", metavar="FILE", help="bop: the drone's [the example drone's]")
+    export.add_argument(
+        "--shard-size", type=_count, metavar="N", help="webdataset: samples a file [500]"
+    )
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")
     return parser
 
 
-def _fly_options(parser: argparse.ArgumentParser) -> None:
-    from dronepose.synth.options import add_fly_options
-
-    add_fly_options(parser)
-
-
-def _render_options(parser: argparse.ArgumentParser) -> None:
-    from dronepose.synth.options import add_render_options
-
-    add_render_options(parser)
-
-
-def _plan_options(parser: argparse.ArgumentParser) -> None:
-    from dronepose.synth.options import add_plan_options
-
-    add_plan_options(parser)
-
-
-def _anchor_options(parser: argparse.ArgumentParser) -> None:
-    from dronepose.synth.options import add_anchor_options
-
-    add_anchor_options(parser)
+def _count(text: str) -> int:
+    """A whole number of at least 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text!r}")
+    return int(text)
