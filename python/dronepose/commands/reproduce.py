@@ -69,7 +69,7 @@ def _mini(options: argparse.Namespace) -> int:
     from dronepose._files import write_text
     from dronepose.data import ToySettings, write_toyset
     from dronepose.train.cli import quiet
-    from dronepose.train.reproduce import VARIANTS, Plan, mean_pose, run_one, table
+    from dronepose.train.reproduce import VARIANTS, Plan, by_seed, mean_pose, run_one, table
 
     quiet()
     rows, _, columns = options.size.partition("x")
@@ -109,7 +109,7 @@ def _mini(options: argparse.Namespace) -> int:
                 file=sys.stderr,
                 flush=True,
             )
-    text = table(results, mean_pose(str(data)))
+    text = f"{table(results, mean_pose(str(data)))}\n\n{by_seed(results)}"
     write_text(options.out / "results.json", json.dumps(results, indent=1))
     write_text(options.out / "results.md", text + "\n")
     print(json.dumps(results) if options.json else text)

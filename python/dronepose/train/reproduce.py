@@ -230,25 +230,54 @@ def mean_pose(root: str) -> dict[str, float]:
 def table(results: Sequence[dict[str, Any]], baseline: dict[str, float] | None = None) -> str:
     """The results as Markdown: mean over the seeds and half of the 95 % interval.
 
+    The last but one column is the mean of the differences to ``direct`` with the same seed.
+
     Args:
         results: Of :func:`run_one`.
         baseline: Metrics of :func:`mean_pose`, for a row of their own.
     """
-    lines = ["| | seeds | " + " | ".join(HEADS) + " | renderer |", "|---|--:|" + "--:|" * 8]
+    lines = [
+        "| | seeds | " + " | ".join(HEADS) + " | CPE - Direct | renderer |",
+        "|---|--:|" + "--:|" * 9,
+    ]
+    direct = {r["seed"]: r["test"]["cpe"] for r in results if r["variant"] == "direct"}
     if baseline is not None:
         cells = [f"{baseline[c]:.{1 if c.startswith('a') else 4}f}" for c in COLUMNS]
-        lines.append("| Mean pose | | " + " | ".join(cells) + " | |")
+        lines.append("| Mean pose | | " + " | ".join(cells) + " | | |")
     for key, variant in VARIANTS.items():
         runs = [r for r in results if r["variant"] == key]
         if not runs:
             continue
-        cells = []
-        for column in COLUMNS:
-            values = [run["test"][column] for run in runs]
-            half, digits = interval(values), 1 if column.startswith("a") else 4
-            plus = "" if half is None else f" ± {half:.{digits}f}"
-            cells.append(f"{statistics.mean(values):.{digits}f}{plus}")
+        cells = [
+            _cell([run["test"][column] for run in runs], 1 if column.startswith("a") else 4)
+            for column in COLUMNS
+        ]
+        # The same seed gives the same order of the same images.
+        pairs = [r["test"]["cpe"] - direct[r["seed"]] for r in runs if r["seed"] in direct]
+        cells.append(_cell(pairs, 4) if pairs and key != "direct" else "")
         shares = [r["renderer_share"] for r in runs if r["renderer_share"] is not None]
         share = f"{100 * statistics.mean(shares):.2f} %" if shares else ""
         lines.append(f"| {variant.name} | {len(runs)} | " + " | ".join(cells) + f" | {share} |")
     return "\n".join(lines)
+
+
+def by_seed(results: Sequence[dict[str, Any]]) -> str:
+    """CPE of every run as Markdown, a column for each seed."""
+    seeds = sorted({run["seed"] for run in results})
+    lines = [
+        "| CPE | " + " | ".join(f"seed {seed}" for seed in seeds) + " |",
+        "|---|" + "--:|" * len(seeds),
+    ]
+    found = {(run["variant"], run["seed"]): f"{run['test']['cpe']:.3f}" for run in results}
+    for key, variant in VARIANTS.items():
+        if any((key, seed) in found for seed in seeds):
+            cells = [found.get((key, seed), "") for seed in seeds]
+            lines.append(f"| {variant.name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(values: Sequence[float], digits: int) -> str:
+    """Mean and half of the 95 % interval."""
+    half = interval(values)
+    plus = "" if half is None else f" ± {half:.{digits}f}"
+    return f"{statistics.mean(values):.{digits}f}{plus}"
