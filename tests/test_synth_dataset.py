@@ -12,7 +12,7 @@ cv2 = pytest.importorskip("cv2")
 pytest.importorskip("torch")
 
 from dronepose.camera import Camera  # noqa: E402
-from dronepose.data import UavaDataset  # noqa: E402
+from dronepose.data import DataError, UavaDataset  # noqa: E402
 from dronepose.mesh import Mesh  # noqa: E402
 from dronepose.render import silhouette  # noqa: E402
 from dronepose.synth import Rules, make_plan, read_anchors, read_flight, write_example  # noqa: E402
@@ -86,7 +86,7 @@ def whole(table, studio, tmp_path_factory):
 
 
 def test_the_loader_reads_poses_images_and_masks(whole, table):
-    data = UavaDataset(whole, "train", drone="drone")
+    data = UavaDataset(whole, "train")
     records = [json.loads(p.read_text()) for p in sorted((whole / "records/hall").iterdir())]
     kept = [record["row"] for record in records if record["kept"]]
     assert len(data) == 2 * len(kept)
@@ -100,6 +100,14 @@ def test_the_loader_reads_poses_images_and_masks(whole, table):
         camera = cameras_of(table)[0]
         drawn = silhouette(mesh, camera, raw.R[None], raw.t[None])[0]
         np.testing.assert_allclose(raw.mask / 255, drawn, atol=0.51 / 255)
+
+
+def test_the_drone_has_to_be_said_where_there_are_several(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "set")
+    (tmp_path / "set" / "other" / "exocentric").mkdir(parents=True)
+    with pytest.raises(DataError, match="several drones, drone, other; say which"):
+        UavaDataset(tmp_path / "set", "train")
+    assert len(UavaDataset(tmp_path / "set", "train", drone="drone")) > 0
 
 
 def read_drone_mesh():

@@ -66,7 +66,7 @@ class UavaDataset(PoseDataset):
         split: ``"train"``, ``"val"`` or ``"test"``: which list of buildings.
         trajectories: Folder of the flights; ``None`` is ``root/trajectories``.
         splits: Folder of the lists; ``None`` is ``root/data splits``.
-        drone: Folder of the drone.
+        drone: Folder of the drone; ``None`` is the only one that holds the view (M2ED in UAVA).
         view: Folder and name of the view.
         image: Folder of the modality that is the image.
         mask: Folder of the modality that is the mask; ``None`` for none.
@@ -101,7 +101,7 @@ class UavaDataset(PoseDataset):
         *,
         trajectories: str | os.PathLike[str] | None = None,
         splits: str | os.PathLike[str] | None = None,
-        drone: str = "M2ED",
+        drone: str | None = None,
         view: str = "exocentric",
         image: str = "colour",
         mask: str | None = "silhouette",
@@ -133,7 +133,7 @@ class UavaDataset(PoseDataset):
         self._images: list[str] = []
         self._masks: list[str] = []
         poses: list[tuple[Array, Array]] = []
-        folder = self.root / drone / view
+        folder = self.root / (drone or _only_drone(self.root, view)) / view
         if not folder.is_dir():
             missing(folder, "the images of a drone and a view")
         for building, where in buildings(lists / f"scenes_{split}.txt"):
@@ -263,6 +263,18 @@ class UavaDataset(PoseDataset):
             if name.endswith("_0") and other is not None:
                 out.append((index, other))
         return out
+
+
+def _only_drone(root: Path, view: str) -> str:
+    """The folder that holds a folder of the view; UAVA's own where there is none.
+
+    Raises:
+        DataError: There are several.
+    """
+    found = sorted(path.parent.name for path in root.glob(f"*/{view}") if path.is_dir())
+    if len(found) > 1:
+        raise DataError(f"{root}: holds several drones, {', '.join(found)}; say which (drone=...)")
+    return found[0] if found else "M2ED"
 
 
 def buildings(path: Path) -> list[tuple[str, str]]:
