@@ -190,8 +190,8 @@ def _pictures(frame: Frame, flow: Flow, *, drone: bool) -> dict[str, Any]:
 
 
 def _pose(plan: PlanTable, name: Any, row: int) -> Pose:
-    R, t = plan.pose(name)
-    return R[row], t[row]
+    R, t = plan.pose(name, slice(row, row + 1))
+    return R[0], t[0]
 
 
 def _about_up(angle: float) -> Array:

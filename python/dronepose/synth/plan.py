@@ -53,6 +53,8 @@ CONVENTIONS = {
 MAP_POINTS = 4000
 """Points of the flight that the manifest keeps for the map."""
 
+_ALL = slice(None)
+
 PoseName = Literal["", "next", "exo", "ego", "ego_next", "drone", "drone_next"]
 
 
@@ -83,13 +85,16 @@ class PlanTable:
         """
         return self.columns[name]
 
-    def pose(self, name: PoseName = "") -> tuple[Array, Array]:
-        """One of the poses of each sample.
+    def pose(
+        self, name: PoseName = "", rows: slice | NDArray[np.integer[Any]] = _ALL
+    ) -> tuple[Array, Array]:
+        """One of the poses of each sample, or of some.
 
         Args:
             name: ``""`` for ``cam_from_model`` at t, ``next`` at t + 1; ``exo``, ``ego``,
                 ``ego_next`` for ``cam_from_world`` of a camera; ``drone``, ``drone_next`` for
                 ``world_from_model``.
+            rows: Which samples; all by default.
 
         Returns:
             ``R`` ``(N, 3, 3)`` and ``t`` ``(N, 3)``, metres.
@@ -105,8 +110,8 @@ class PlanTable:
             True
         """
         lead = f"{name}_" if name else ""
-        q = np.stack([self.columns[f"{lead}q{c}"] for c in "wxyz"], axis=1)
-        t = np.stack([self.columns[f"{lead}t{c}"] for c in "xyz"], axis=1)
+        q = np.stack([self.columns[f"{lead}q{c}"][rows] for c in "wxyz"], axis=1)
+        t = np.stack([self.columns[f"{lead}t{c}"][rows] for c in "xyz"], axis=1)
         return matrix_from_quat_wxyz(q), t
 
 
