@@ -207,7 +207,7 @@ def projection(
 
 @final
 class Traces:
-    """Outlines of a batch of masks."""
+    """What a batch of masks leaves behind for its gradients."""
 
     @property
     def nbytes(self) -> int: ...

@@ -127,7 +127,8 @@ def silhouette(
         if each.dtype == torch.float64:
             dtype = torch.float64
     wanted = any(each.requires_grad for each in (vertices, R, t, K))
-    traced = chosen.mode == "coverage" and wanted and torch.is_grad_enabled()
+    exact = chosen.mode != "hard" and chosen.cutoff is None  # what has traces to keep
+    traced = exact and wanted and torch.is_grad_enabled()
     length, count = (None, 0) if chosen.cutoff is None else chosen.cutoff
     masks: Tensor = silhouette_op(
         vertices.to(dtype),

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from dronepose import _native
 from dronepose._buffers import BUFFERS
-from dronepose.torch import _outlines
+from dronepose.torch import _traces
 from dronepose.torch._models import models
 
 _Batch = tuple[list[_native.Model], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -42,15 +42,15 @@ def silhouette_op(
 ) -> Tensor:
     """Masks ``(B, H, W)`` of the dtype and on the device of ``R``.
 
-    With ``traced``, their outlines wait for the backward pass.
+    With ``traced``, their traces wait for the backward pass.
     """
     batch = _batch(vertices, faces, R, t, K)
     out = BUFFERS.empty((R.shape[0], height, width), _numpy_dtype(R))
     limit = None if cutoff is None else (cutoff, cutoff_count)
     traces = _native.silhouette(*batch, mode, softness, limit, near, threads, out, traced)
     if traces is not None:
-        key = _outlines.key_of(batch, (height, width), mode, softness, near)
-        _outlines.keep(key, batch[0], traces)
+        key = _traces.key_of(batch, (height, width), mode, softness, limit, near)
+        _traces.keep(key, batch[0], traces)
     return torch.from_numpy(out).to(R.device)
 
 
@@ -95,7 +95,7 @@ def _backward_op(
     shape = (given.shape[1], given.shape[2])
     traces = None
     if traced:
-        traces = _outlines.take(_outlines.key_of(batch, shape, mode, softness, near))
+        traces = _traces.take(_traces.key_of(batch, shape, mode, softness, limit, near))
     g_R, g_t, g_K, g_v = _native.silhouette_gradients(
         *batch, mode, softness, limit, near, threads, given, of_vertices, traces
     )

@@ -225,7 +225,7 @@ pub(super) enum In<'py> {
     Double(PyReadonlyArray3<'py, f64>),
 }
 
-/// The outlines of a batch of masks.
+/// What a batch of masks leaves behind for its gradients.
 #[pyclass(frozen, name = "Traces", module = "dronepose._native")]
 pub(super) struct PyTraces(Traces);
 
@@ -238,7 +238,7 @@ impl PyTraces {
     }
 }
 
-/// Masks into `out`, `(B, H, W)`; with `traced`, their outlines for the gradients.
+/// Masks into `out`, `(B, H, W)`; with `traced`, their traces for the gradients.
 #[pyfunction]
 pub(super) fn silhouette<'py>(
     py: Python<'py>,

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 
 use rayon::prelude::*;
 
-use super::coverage::Trace;
+use super::trace::Trace;
 use super::{DEFAULT_NEAR, Mode, Model, Pixel, Screen, Size, View, ViewGradient};
 use crate::error::{Error, Result};
 
@@ -39,8 +39,8 @@ pub struct Gradients {
     pub vertices: Vec<Vec<f64>>,
 }
 
-/// The outlines of the masks of a batch, for its gradients. Some 40 kB an image of 320 x 240; only
-/// mode coverage has any.
+/// What the masks of a batch leave behind for its gradients. Some 40 kB an image of 320 x 240 in mode
+/// coverage (the outline), up to 4 bytes a pixel in the exact soft modes (8 in double precision).
 #[derive(Debug, Clone, Default)]
 pub struct Traces(Vec<Option<Trace>>);
 
@@ -167,7 +167,7 @@ impl Batch<'_> {
         self.gradients_of(&Traces::default(), upstream, wanted)
     }
 
-    /// As [`gradients`](Self::gradients), to the same bits, for masks whose outlines were kept by
+    /// As [`gradients`](Self::gradients), to the same bits, for masks whose traces were kept by
     /// [`draw_traced`](Self::draw_traced) of the same batch.
     ///
     /// # Errors
@@ -189,7 +189,7 @@ impl Batch<'_> {
         if !traces.is_empty()
             && (traces.len() != self.views.len() || !traces.iter().enumerate().all(fits))
         {
-            return Err(Error::argument("traces", "these are the outlines of other masks"));
+            return Err(Error::argument("traces", "these are of other masks"));
         }
         let near = self.near.unwrap_or(DEFAULT_NEAR);
         let one = |image: usize, vertices: Option<&mut [f64]>| -> Result<ViewGradient> {

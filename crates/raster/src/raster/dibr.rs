@@ -21,7 +21,7 @@ pub fn draw<T: Pixel>(
 ) {
     match cutoff {
         Some(cutoff) => kaolin::draw(model, screen, size, delta, cutoff, out),
-        None => Profile::Dibr(delta).draw(model, screen, size, out),
+        None => drop(Profile::Dibr(delta).draw(model, screen, size, out, false)),
     }
 }
 
@@ -39,6 +39,6 @@ pub fn back<T: Pixel>(
 ) {
     match cutoff {
         Some(cutoff) => kaolin::back(model, screen, size, delta, cutoff, upstream, [du, dv]),
-        None => Profile::Dibr(delta).back(model, screen, size, upstream, [du, dv]),
+        None => Profile::Dibr(delta).back(None, model, screen, size, upstream, [du, dv]),
     }
 }

@@ -35,12 +35,13 @@ mod screen;
 pub mod sigmoid;
 mod soft;
 mod topology;
+mod trace;
 
 pub use self::batch::{Batch, Gradients, Traces, Wanted};
-use self::coverage::Trace;
 pub use self::model::Model;
 pub use self::screen::{Cut, Screen, View, ViewGradient};
 pub use self::topology::{Edge, Topology};
+use self::trace::Trace;
 use crate::error::{Error, Result};
 
 /// Distance in metres to the near plane where the caller names none.
@@ -204,7 +205,14 @@ impl Mode {
     ) -> Option<Trace> {
         match *self {
             Self::Coverage { sigma } => {
-                return coverage::draw_traced(model, screen, size, sigma, out, traced);
+                return coverage::draw_traced(model, screen, size, sigma, out, traced)
+                    .map(Trace::Outline);
+            }
+            Self::Dibr { delta, cutoff: None } => {
+                return soft::Profile::Dibr(delta).draw(model, screen, size, out, traced);
+            }
+            Self::Sigmoid { sigma, cutoff: None } => {
+                return soft::Profile::Sigmoid(sigma).draw(model, screen, size, out, traced);
             }
             Self::Hard => hard::draw(model, screen, size, out),
             Self::Dibr { delta, cutoff } => dibr::draw(model, screen, size, delta, cutoff, out),
@@ -226,11 +234,32 @@ impl Mode {
         trace: Option<&Trace>,
         [du, dv]: [&mut [f64]; 2],
     ) {
+        let product = match trace {
+            Some(Trace::Product(product)) => Some(product),
+            _ => None,
+        };
         match *self {
             Self::Coverage { sigma } => {
-                coverage::back_of(trace, model, screen, size, sigma, upstream, [du, dv]);
+                let outline = match trace {
+                    Some(Trace::Outline(outline)) => Some(outline),
+                    _ => None,
+                };
+                coverage::back_of(outline, model, screen, size, sigma, upstream, [du, dv]);
             }
             Self::Hard => {} // piecewise constant
+            Self::Dibr { delta, cutoff: None } => {
+                soft::Profile::Dibr(delta).back(product, model, screen, size, upstream, [du, dv]);
+            }
+            Self::Sigmoid { sigma, cutoff: None } => {
+                soft::Profile::Sigmoid(sigma).back(
+                    product,
+                    model,
+                    screen,
+                    size,
+                    upstream,
+                    [du, dv],
+                );
+            }
             Self::Dibr { delta, cutoff } => {
                 dibr::back(model, screen, size, delta, cutoff, upstream, du, dv);
             }

@@ -22,7 +22,7 @@ pub fn draw<T: Pixel>(
 ) {
     match cutoff {
         Some(cutoff) => pytorch3d::draw(model, screen, size, sigma, cutoff, out),
-        None => Profile::Sigmoid(sigma).draw(model, screen, size, out),
+        None => drop(Profile::Sigmoid(sigma).draw(model, screen, size, out, false)),
     }
 }
 
@@ -40,6 +40,6 @@ pub fn back<T: Pixel>(
 ) {
     match cutoff {
         Some(cutoff) => pytorch3d::back(model, screen, size, sigma, cutoff, upstream, [du, dv]),
-        None => Profile::Sigmoid(sigma).back(model, screen, size, upstream, [du, dv]),
+        None => Profile::Sigmoid(sigma).back(None, model, screen, size, upstream, [du, dv]),
     }
 }

@@ -1,5 +1,6 @@
 //! Sixteen faces at a time, made ready for distances.
 
+use super::nearest::Near;
 use super::real::{LANES, Real};
 use super::tiles::{SIDE, Units};
 
@@ -26,40 +27,23 @@ pub(super) struct Edges<R> {
     pub(super) half: [R; LANES],
 }
 
-/// An edge: [`Edges`] in one lane.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Edge<R> {
-    pub(super) x: R,
-    pub(super) y: R,
-    pub(super) along: R,
-    pub(super) across: R,
-    pub(super) half: R,
-}
-
-/// A face.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Face<R> {
-    pub(super) x: R,
-    pub(super) y: R,
-    pub(super) edges: [Edge<R>; 3],
-}
-
 /// Sixteen faces. Edge `k` runs from corner `k` to the next, the corners positively oriented.
 #[derive(Debug)]
 pub(super) struct Block<R> {
     pub(super) x: [R; LANES],
     pub(super) y: [R; LANES],
-    pub(super) edges: [Edges<R>; 3],
+    /// The fourth is nothing: it spares a check of the index.
+    pub(super) edges: [Edges<R>; 4],
     /// Tiles within reach: columns `0..1`, rows `2..3`.
     pub(super) tiles: [[i32; LANES]; 4],
-    /// Of the 8x8 tiles from the first one on, those within reach: bit `8 row + column`.
-    pub(super) near: [u64; LANES],
+    /// Tiles by what is near to them.
+    pub(super) near: Near,
     /// Whether the second and the third corner are exchanged.
     pub(super) turned: [bool; LANES],
     /// Without area, up to rounding.
     pub(super) flat: [bool; LANES],
     /// Further out than [`FAR`].
-    far: [bool; LANES],
+    pub(super) far: [bool; LANES],
     /// Where the part of each edge that is measured begins and ends: all of it but for far faces.
     pub(super) kept: [[[f64; LANES]; 2]; 3],
 }
@@ -83,9 +67,9 @@ impl<R: Real> Block<R> {
         Self {
             x: none,
             y: none,
-            edges: [edges; 3],
+            edges: [edges; 4],
             tiles: [[0; LANES]; 4],
-            near: [0; LANES],
+            near: Near::new(),
             turned: [false; LANES],
             flat: [false; LANES],
             far: [false; LANES],
@@ -93,24 +77,10 @@ impl<R: Real> Block<R> {
         }
     }
 
+    /// Load up to 16 faces from `first` on; how many they are. With `inside`, edges are told apart
+    /// inside of faces too.
     #[inline(always)]
-    pub(super) fn face(&self, lane: usize) -> Face<R> {
-        let edge = |k: usize| {
-            let e = &self.edges[k];
-            Edge {
-                x: e.x[lane],
-                y: e.y[lane],
-                along: e.along[lane],
-                across: e.across[lane],
-                half: e.half[lane],
-            }
-        };
-        Face { x: self.x[lane], y: self.y[lane], edges: [edge(0), edge(1), edge(2)] }
-    }
-
-    /// Load up to 16 faces from `first` on; how many they are.
-    #[inline(always)]
-    pub(super) fn load(&mut self, source: &Source<'_>, first: usize) -> usize {
+    pub(super) fn load(&mut self, source: &Source<'_>, first: usize, inside: bool) -> usize {
         let faces = &source.faces[first..];
         let faces = &faces[..faces.len().min(LANES)];
         let mut corners = [[0.0; LANES]; 6];
@@ -120,7 +90,7 @@ impl<R: Real> Block<R> {
                 corners[2 * k + 1][lane] = source.v[face[k] as usize];
             }
         }
-        self.prepare(source, &mut corners);
+        self.prepare(source, &mut corners, inside);
         for lane in 0..faces.len() {
             if self.far[lane] {
                 self.cut(source, lane, &corners);
@@ -131,7 +101,7 @@ impl<R: Real> Block<R> {
 
     /// Everything of all lanes; the corners (pixels) become widths, in order.
     #[inline(always)]
-    fn prepare(&mut self, source: &Source<'_>, corners: &mut [[f64; LANES]; 6]) {
+    fn prepare(&mut self, source: &Source<'_>, corners: &mut [[f64; LANES]; 6], inside: bool) {
         let Units { scale, half, reach } = source.units;
         let limit = FAR * (source.units.extent() + reach);
         for l in 0..LANES {
@@ -208,30 +178,7 @@ impl<R: Real> Block<R> {
                 high[axis][l] -= f64::from(self.tiles[2 * axis][l]);
             }
         }
-        let [x0, y0] = low.map(|lanes| lanes.map(R::of));
-        let [x1, y1] = high.map(|lanes| lanes.map(R::of));
-        let (down, across) = (R::of(SIDE as f64 * scale[1]), R::of(1.0 / (SIDE as f64 * scale[0])));
-        let squared = R::of(reach * reach * 1.001);
-        let (last, eight) = (R::of(LAST + 1e-3), R::of(8.0));
-        self.near = [0; LANES];
-        for row in 0..8 {
-            let r = R::of(f64::from(row));
-            for l in 0..LANES {
-                let gap = (y0[l] - r - last).most(r - y1[l]).most(R::ZERO) * down;
-                let left = squared - gap * gap;
-                let wide = left.most(R::ZERO).sqrt() * across;
-                let from = (x0[l] - wide - last).most(R::ZERO).least(eight);
-                let from = 8 - (eight - from).floor_i32();
-                let to = (x1[l] + wide + R::ONE).most(R::ZERO).least(eight).floor_i32();
-                let bits =
-                    if left > R::ZERO && to > from { (1 << to) - (1 << from) } else { 0_i32 };
-                self.near[l] |= (bits as u64) << (8 * row);
-            }
-        }
-        for l in 0..LANES {
-            let [left, right, top, bottom] = [0, 1, 2, 3].map(|k| self.tiles[k][l]);
-            self.near[l] |= if (right - left).max(bottom - top) > 8 { u64::MAX } else { 0 };
-        }
+        Near::find(self, source, &low, &high, inside);
     }
 
     /// Measure a face of which a corner is far away from what is near to the image, where single

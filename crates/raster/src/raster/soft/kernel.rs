@@ -2,7 +2,7 @@
 
 use multiversion::multiversion;
 
-use super::faces::{Block, Face, Source};
+use super::faces::{Block, Source};
 use super::real::{LANES, Real};
 use super::tiles::Tiles;
 
@@ -43,25 +43,40 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     let mut block = Block::new();
     let mut first = 0;
     while first < source.faces.len() {
-        let count = block.load(source, first);
+        let count = block.load(source, first, SIGMOID);
         for lane in 0..count {
             if SIGMOID && block.flat[lane] {
                 continue;
             }
-            let face = block.face(lane);
             let [from, to, top, bottom] = [0, 1, 2, 3].map(|k| block.tiles[k][lane] as usize);
             let mut row = top;
             while row < bottom {
                 let mut column = from;
                 while column < to {
+                    let (Some(x), Some(y)) =
+                        (tiles.x[column..].first_chunk::<8>(), tiles.y[row..].first_chunk::<8>())
+                    else {
+                        break;
+                    };
                     let mut used = tiles.used(column, row, to - column, bottom - row);
-                    used &= block.near[lane];
+                    used &= block.near.all[lane];
+                    let one = [0, 1, 2].map(|k| block.near.one[k][lane] & used);
+                    let mut left = one[0] | one[1] | one[2];
+                    used ^= left;
+                    while left != 0 {
+                        let at = left.trailing_zeros() as usize;
+                        let (c, r) = (at % 8, (at / 8) % 8);
+                        let place = [&x[c], &y[r]];
+                        let values = &mut tiles.values[(row + r) * tiles.count[0] + column + c];
+                        draw_one::<R, FMA, SIGMOID>(&block, lane, edge_of(one, at), place, values);
+                        left &= left - 1;
+                    }
                     while used != 0 {
                         let at = used.trailing_zeros() as usize;
-                        let (c, r) = (column + at % 8, row + at / 8);
-                        let place = [&tiles.x[c], &tiles.y[r]];
-                        let values = &mut tiles.values[r * tiles.count[0] + c];
-                        draw_tile::<R, FMA, SIGMOID>(&face, place, values);
+                        let (c, r) = (at % 8, (at / 8) % 8);
+                        let place = [&x[c], &y[r]];
+                        let values = &mut tiles.values[(row + r) * tiles.count[0] + column + c];
+                        draw_tile::<R, FMA, SIGMOID>(&block, lane, place, values);
                         used &= used - 1;
                     }
                     column += 8;
@@ -73,31 +88,67 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     }
 }
 
+/// The edge whose tiles hold bit `at`.
+#[inline(always)]
+fn edge_of(one: [u64; 3], at: usize) -> usize {
+    (((one[1] >> at) & 1) | (((one[2] >> at) & 1) << 1)) as usize
+}
+
 /// Squared distance to an edge, how far the pixel is inside its line, how far beyond its ends.
 #[inline(always)]
-fn measure<R: Real, const FMA: bool>(face: &Face<R>, k: usize, x: R, y: R) -> (R, R, R, R) {
-    let e = &face.edges[k];
-    let along = e.x.fused::<FMA>(x, e.y.fused::<FMA>(y, e.along));
-    let across = e.x.fused::<FMA>(y, (-e.y).fused::<FMA>(x, e.across));
-    let beyond = (along.abs() - e.half).most(R::ZERO);
+fn measure<R: Real, const FMA: bool>(
+    block: &Block<R>,
+    lane: usize,
+    k: usize,
+    x: R,
+    y: R,
+) -> (R, R, R, R) {
+    let e = &block.edges[k & 3];
+    let (ex, ey) = (e.x[lane], e.y[lane]);
+    let along = ex.fused::<FMA>(x, ey.fused::<FMA>(y, e.along[lane]));
+    let across = ex.fused::<FMA>(y, (-ey).fused::<FMA>(x, e.across[lane]));
+    let beyond = (along.abs() - e.half[lane]).most(R::ZERO);
     (across.fused::<FMA>(across, beyond * beyond), across, beyond, along)
 }
 
 #[inline(always)]
 fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
-    face: &Face<R>,
+    block: &Block<R>,
+    lane: usize,
     [x, y]: [&[R; LANES]; 2],
     values: &mut [R; LANES],
 ) {
     for l in 0..LANES {
-        let (x, y) = (x[l] - face.x, y[l] - face.y);
-        let (d0, s0, _, _) = measure::<R, FMA>(face, 0, x, y);
-        let (d1, s1, _, _) = measure::<R, FMA>(face, 1, x, y);
-        let (d2, s2, _, _) = measure::<R, FMA>(face, 2, x, y);
-        let e = d0.least(d1).least(d2).exp_negative::<FMA>();
+        let (x, y) = (x[l] - block.x[lane], y[l] - block.y[lane]);
+        let (d0, s0, _, _) = measure::<R, FMA>(block, lane, 0, x, y);
+        let (d1, s1, _, _) = measure::<R, FMA>(block, lane, 1, x, y);
+        let (d2, s2, _, _) = measure::<R, FMA>(block, lane, 2, x, y);
+        let e = d0.least(d1).least(d2).exp2_negative::<FMA>();
         let left = if SIGMOID {
             let inside = s0.least(s1).least(s2) >= R::ZERO;
             values[l] * (if inside { e } else { R::ONE }) / (R::ONE + e)
+        } else {
+            (-e).fused::<FMA>(values[l], values[l])
+        };
+        values[l] = left.most(R::LEAST_PRODUCT);
+    }
+}
+
+/// As [`draw_tile`] for a tile outside of the face to which edge `k` is the nearest.
+#[inline(always)]
+fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
+    block: &Block<R>,
+    lane: usize,
+    k: usize,
+    [x, y]: [&[R; LANES]; 2],
+    values: &mut [R; LANES],
+) {
+    for l in 0..LANES {
+        let (d, _, _, _) =
+            measure::<R, FMA>(block, lane, k, x[l] - block.x[lane], y[l] - block.y[lane]);
+        let e = d.exp2_negative::<FMA>();
+        let left = if SIGMOID {
+            values[l] / (R::ONE + e)
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
@@ -121,39 +172,66 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     let mut block_sums = BlockSums::new();
     let mut first = 0;
     while first < source.faces.len() {
-        let count = block.load(source, first);
+        let count = block.load(source, first, SIGMOID);
         for lane in 0..count {
             block_sums.any[lane] = false;
             if SIGMOID && block.flat[lane] {
                 continue;
             }
-            let face = block.face(lane);
             let [from, to, top, bottom] = [0, 1, 2, 3].map(|k| block.tiles[k][lane] as usize);
-            let mut sums = [[[R::ZERO; LANES]; 4]; 3];
+            let mut sums = [[[R::ZERO; LANES]; 4]; 4];
             let mut any = false;
             let mut row = top;
             while row < bottom {
                 let mut column = from;
                 while column < to {
+                    let (Some(x), Some(y)) =
+                        (tiles.x[column..].first_chunk::<8>(), tiles.y[row..].first_chunk::<8>())
+                    else {
+                        break;
+                    };
                     let mut used = tiles.used(column, row, to - column, bottom - row);
-                    used &= block.near[lane];
+                    used &= block.near.all[lane];
                     any |= used != 0;
+                    let one = [0, 1, 2].map(|k| block.near.one[k][lane] & used);
+                    let mut left = one[0] | one[1] | one[2];
+                    used ^= left;
+                    while left != 0 {
+                        let at = left.trailing_zeros() as usize;
+                        let (c, r) = (at % 8, (at / 8) % 8);
+                        let place = [&x[c], &y[r]];
+                        let values = &tiles.values[(row + r) * tiles.count[0] + column + c];
+                        let k = edge_of(one, at);
+                        back_one::<R, FMA, SIGMOID>(
+                            &block,
+                            lane,
+                            k,
+                            place,
+                            values,
+                            &mut sums[k & 3],
+                        );
+                        left &= left - 1;
+                    }
+                    if used == 0 {
+                        column += 8;
+                        continue;
+                    }
                     // A copy whose address nobody takes stays in registers.
-                    let mut local = sums;
+                    let mut local = [sums[0], sums[1], sums[2]];
                     while used != 0 {
                         let at = used.trailing_zeros() as usize;
-                        let (c, r) = (column + at % 8, row + at / 8);
-                        let place = [&tiles.x[c], &tiles.y[r]];
-                        let values = &tiles.values[r * tiles.count[0] + c];
-                        back_tile::<R, FMA, SIGMOID>(&face, place, values, &mut local);
+                        let (c, r) = (at % 8, (at / 8) % 8);
+                        let place = [&x[c], &y[r]];
+                        let values = &tiles.values[(row + r) * tiles.count[0] + column + c];
+                        back_tile::<R, FMA, SIGMOID>(&block, lane, place, values, &mut local);
                         used &= used - 1;
                     }
-                    sums = local;
+                    (sums[0], sums[1], sums[2]) = (local[0], local[1], local[2]);
                     column += 8;
                 }
                 row += 8;
             }
-            block_sums.set(lane, any, &sums);
+            block_sums.set(lane, any, &[sums[0], sums[1], sums[2]]);
         }
         scatter(source, &block, [first, count], &block_sums, factor, du, dv);
         first += LANES;
@@ -162,18 +240,19 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
 
 #[inline(always)]
 fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
-    face: &Face<R>,
+    block: &Block<R>,
+    lane: usize,
     [x, y]: [&[R; LANES]; 2],
     values: &[R; LANES],
     sums: &mut Sums<R>,
 ) {
     for l in 0..LANES {
-        let (x, y) = (x[l] - face.x, y[l] - face.y);
-        let (d0, s0, b0, a0) = measure::<R, FMA>(face, 0, x, y);
-        let (d1, s1, b1, a1) = measure::<R, FMA>(face, 1, x, y);
-        let (d2, s2, b2, a2) = measure::<R, FMA>(face, 2, x, y);
+        let (x, y) = (x[l] - block.x[lane], y[l] - block.y[lane]);
+        let (d0, s0, b0, a0) = measure::<R, FMA>(block, lane, 0, x, y);
+        let (d1, s1, b1, a1) = measure::<R, FMA>(block, lane, 1, x, y);
+        let (d2, s2, b2, a2) = measure::<R, FMA>(block, lane, 2, x, y);
         let nearest = d0.least(d1).least(d2);
-        let e = nearest.exp_negative::<FMA>();
+        let e = nearest.exp2_negative::<FMA>();
         // The derivative of the mask for the squared distance.
         let weight = if SIGMOID {
             let inside = s0.least(s1).least(s2) >= R::ZERO;
@@ -202,6 +281,33 @@ fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         sums[2][1][l] = (w2 * s2).fused::<FMA>(a2 - g2, sums[2][1][l]);
         sums[2][2][l] = w2.fused::<FMA>(g2, sums[2][2][l]);
         sums[2][3][l] = w2.fused::<FMA>(b2, sums[2][3][l]);
+    }
+}
+
+/// As [`back_tile`] for a tile outside of the face to which edge `k` is the nearest.
+#[inline(always)]
+fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
+    block: &Block<R>,
+    lane: usize,
+    k: usize,
+    [x, y]: [&[R; LANES]; 2],
+    values: &[R; LANES],
+    sums: &mut [[R; LANES]; 4],
+) {
+    for l in 0..LANES {
+        let (d, s, b, a) =
+            measure::<R, FMA>(block, lane, k, x[l] - block.x[lane], y[l] - block.y[lane]);
+        let e = d.exp2_negative::<FMA>();
+        let w = if SIGMOID {
+            -values[l] * e / (R::ONE + e)
+        } else {
+            -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
+        };
+        let g = if a < R::ZERO { -b } else { b };
+        sums[0][l] = w.fused::<FMA>(s, sums[0][l]);
+        sums[1][l] = (w * s).fused::<FMA>(a - g, sums[1][l]);
+        sums[2][l] = w.fused::<FMA>(g, sums[2][l]);
+        sums[3][l] = w.fused::<FMA>(b, sums[3][l]);
     }
 }
 
@@ -297,7 +403,8 @@ fn scatter<R: Real>(
     du: &mut [f64],
     dv: &mut [f64],
 ) {
-    let scale = source.units.scale.map(|s| 2.0 * factor * s);
+    // The exponent is one of 2.
+    let scale = source.units.scale.map(|s| 2.0 * std::f64::consts::LN_2 * factor * s);
     // For the ends of each edge, per axis.
     let mut ends = [[[0.0; LANES]; 4]; 3];
     for k in 0..3 {

@@ -12,15 +12,16 @@
 //! `d^2` is the exponent itself, from an origin of their own, because single precision would lose
 //! thin differences of large coordinates. A tile is in use as long as a pixel of it is not known
 //! to be covered; every face visits those tiles in use that its bounding box reaches within
-//! [`Real::REACH`]. The product is all that is kept, so memory is that of the image, and the
-//! gradient recomputes: `dS/dp_k` is the product over the others, taken as the whole one divided by
-//! the very factor that went into it, which was kept away from 0.
+//! [`Real::REACH`]. Where one edge alone gives the distance to a face all over a tile, it alone is
+//! measured (see `nearest`). The product is all that is kept, so memory is that of the image, and
+//! the gradient measures again: `dS/dp_k` is the product over the others, taken as the whole one
+//! divided by the very factor that went into it, which was kept away from 0.
 //!
-//! In single precision, faces end where `p` is below 8e-7 (1.4e-6 for gradients) at every pixel of
-//! a tile. Each adds at most that to the error; over a mesh of 5,013 small faces and 64 views the
-//! masks are within 2.5e-5 of the exact ones, and gradients for vertices within 1.6e-4 (DIB-R) and
-//! 6.7e-4 (sigmoid) of their largest entry. Where a width
-//! is below 1/430 of half the image, rounding would count, and double precision is used instead.
+//! In single precision, faces end where `p` is below 8e-7 at every pixel of a tile. Each adds at
+//! most that to the error; over a mesh of 5,013 small faces and 64 views the masks are within
+//! 2.5e-5 of the exact ones, and gradients for vertices within 1.6e-4 (DIB-R) and 6.7e-4 (sigmoid)
+//! of their largest entry. Where a width is below 1/430 of half the image, rounding would count,
+//! and double precision is used instead.
 
 #![expect(
     clippy::inline_always,
@@ -32,6 +33,7 @@ mod cover;
 mod faces;
 pub(super) mod kaolin;
 mod kernel;
+mod nearest;
 pub(super) mod pytorch3d;
 mod real;
 #[cfg(test)]
@@ -42,7 +44,42 @@ use self::cover::Cover;
 use self::faces::Source;
 use self::real::Real;
 use self::tiles::{Tiles, Units};
-use super::{Model, Pixel, Screen, Size};
+use super::trace::Trace;
+use super::{Mode, Model, Pixel, Screen, Size};
+
+/// The product that a mask is made of, for its gradient.
+#[derive(Debug, Clone)]
+pub(super) struct Kept {
+    of: (Profile, usize, Size),
+    values: Values,
+}
+
+#[derive(Debug, Clone)]
+enum Values {
+    Single(Box<[[f32; real::LANES]]>),
+    Double(Box<[[f64; real::LANES]]>),
+}
+
+impl Kept {
+    pub(super) fn bytes(&self) -> usize {
+        match &self.values {
+            Values::Single(values) => size_of_val(&**values),
+            Values::Double(values) => size_of_val(&**values),
+        }
+    }
+
+    pub(super) fn is_of(&self, model: &Model, size: Size, mode: Mode) -> bool {
+        let profile = match mode {
+            Mode::Dibr { delta, cutoff: None } => Profile::Dibr(delta),
+            Mode::Sigmoid { sigma, cutoff: None } => Profile::Sigmoid(sigma),
+            _ => return false,
+        };
+        self.of == (profile, model.vertex_count(), size)
+    }
+}
+
+/// Images of more pixels keep no product.
+const LARGE: usize = 1 << 20;
 
 /// Buffers of one thread, for one of the floats.
 #[derive(Debug)]
@@ -58,7 +95,7 @@ impl<R: Real> Default for Scratch<R> {
 }
 
 /// The exact soft masks.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Profile {
     /// DIB-R with this `delta`.
     Dibr(f64),
@@ -85,28 +122,56 @@ impl Profile {
         size_of::<T>() == size_of::<f32>() && units.extent() * FINEST_SINGLE <= 1.0
     }
 
-    /// Draw the mask `(H, W)`; every pixel of `out` is written.
-    pub(super) fn draw<T: Pixel>(self, model: &Model, screen: &Screen, size: Size, out: &mut [T]) {
-        if self.is_single::<T>(size) {
-            f32::with_scratch(|scratch| self.draw_as(scratch, model, screen, size, out));
+    /// Draw the mask `(H, W)`; every pixel of `out` is written. With `traced`, what the gradient
+    /// needs of it, for images up to a size.
+    pub(super) fn draw<T: Pixel>(
+        self,
+        model: &Model,
+        screen: &Screen,
+        size: Size,
+        out: &mut [T],
+        traced: bool,
+    ) -> Option<Trace> {
+        let traced = traced && size.pixels() <= LARGE;
+        let values = if self.is_single::<T>(size) {
+            f32::with_scratch(|scratch| {
+                self.draw_as(scratch, model, screen, size, out);
+                traced.then(|| Values::Single(scratch.tiles.values.as_slice().into()))
+            })
         } else {
-            f64::with_scratch(|scratch| self.draw_as(scratch, model, screen, size, out));
-        }
+            f64::with_scratch(|scratch| {
+                self.draw_as(scratch, model, screen, size, out);
+                traced.then(|| Values::Double(scratch.tiles.values.as_slice().into()))
+            })
+        };
+        let vertices = model.vertex_count();
+        values.map(|values| Trace::Product(Kept { of: (self, vertices, size), values }))
     }
 
-    /// Add the gradient of `sum(upstream * mask)` for image points (pixels) to `du` and `dv`.
+    /// Add the gradient of `sum(upstream * mask)` for image points (pixels) to `du` and `dv`; `kept`
+    /// is what [`draw`](Self::draw) returned for the same screen.
     pub(super) fn back<T: Pixel>(
         self,
+        kept: Option<&Kept>,
         model: &Model,
         screen: &Screen,
         size: Size,
         upstream: &[T],
         [du, dv]: [&mut [f64]; 2],
     ) {
+        let values = kept.map(|kept| &kept.values);
         if self.is_single::<T>(size) {
-            f32::with_scratch(|s| self.back_as(s, model, screen, size, upstream, [du, dv]));
+            let values = match values {
+                Some(Values::Single(values)) => Some(&values[..]),
+                _ => None,
+            };
+            f32::with_scratch(|s| self.back_as(s, values, model, screen, size, upstream, [du, dv]));
         } else {
-            f64::with_scratch(|s| self.back_as(s, model, screen, size, upstream, [du, dv]));
+            let values = match values {
+                Some(Values::Double(values)) => Some(&values[..]),
+                _ => None,
+            };
+            f64::with_scratch(|s| self.back_as(s, values, model, screen, size, upstream, [du, dv]));
         }
     }
 
@@ -118,25 +183,29 @@ impl Profile {
         size: Size,
         out: &mut [T],
     ) {
-        match self.product(scratch, model, screen, size, R::REACH) {
-            Some(_) => scratch.tiles.compose(size, out),
-            None => out.fill(T::default()),
+        let Scratch { tiles, cover } = scratch;
+        if let Some(source) = self.lay(tiles, model, screen, size) {
+            self.product(&source, tiles, cover, model, screen, size);
+            tiles.compose(size, out);
+        } else {
+            tiles.values.clear();
+            out.fill(T::default());
         }
     }
 
+    #[expect(clippy::too_many_arguments, reason = "two outputs")]
     fn back_as<R: Real, T: Pixel>(
         self,
         scratch: &mut Scratch<R>,
+        values: Option<&[[R; real::LANES]]>,
         model: &Model,
         screen: &Screen,
         size: Size,
         upstream: &[T],
         [du, dv]: [&mut [f64]; 2],
     ) {
-        let Some(source) = self.product(scratch, model, screen, size, R::REACH_BACK) else {
-            return;
-        };
-        let tiles = &mut scratch.tiles;
+        let Scratch { tiles, cover } = scratch;
+        let Some(source) = self.lay(tiles, model, screen, size) else { return };
         let mut scale = 0.0_f64;
         let [columns, rows] = tiles.pixels(size);
         for row in rows {
@@ -149,6 +218,13 @@ impl Profile {
         if scale == 0.0 {
             return;
         }
+        match values {
+            Some(values) if values.len() == tiles.count[0] * tiles.count[1] => {
+                tiles.values.clear();
+                tiles.values.extend_from_slice(values);
+            }
+            _ => self.product(&source, tiles, cover, model, screen, size),
+        }
         tiles.weigh(size, upstream, scale);
         tiles.mark(R::ZERO);
         match self {
@@ -157,37 +233,46 @@ impl Profile {
         }
     }
 
-    /// Leave `prod_f (1 - p_f)` in the tiles; `None` where no face reaches the image.
-    fn product<'a, R: Real>(
+    /// Lay the tiles; `None` where no face reaches the image.
+    fn lay<'a, R: Real>(
         self,
-        scratch: &mut Scratch<R>,
+        tiles: &mut Tiles<R>,
         model: &'a Model,
         screen: &'a Screen,
         size: Size,
-        exponent: f64,
     ) -> Option<Source<'a>> {
-        let Scratch { tiles, cover } = scratch;
-        let units = Units::new(size, self.scale(size), exponent);
+        let units = Units::new(size, self.scale(size), R::REACH);
         let (low, high) = bounds(model, screen)?;
         if !tiles.lay(size, &units, low, high) {
             return None;
         }
         let (first, count) = (tiles.first, tiles.count);
         let faces = screen.faces(model);
-        let source = Source { faces, u: &screen.u, v: &screen.v, units, first, count };
+        Some(Source { faces, u: &screen.u, v: &screen.v, units, first, count })
+    }
+
+    /// Leave `prod_f (1 - p_f)` in the tiles.
+    fn product<R: Real>(
+        self,
+        source: &Source<'_>,
+        tiles: &mut Tiles<R>,
+        cover: &mut Cover,
+        model: &Model,
+        screen: &Screen,
+        size: Size,
+    ) {
         tiles.fill(size, R::ONE);
         match self {
             Self::Dibr(_) => {
                 cover.clear(model, screen, size, tiles);
                 tiles.mark(R::ZERO);
-                kernel::draw::<R, false>(&source, tiles);
+                kernel::draw::<R, false>(source, tiles);
             }
             Self::Sigmoid(_) => {
                 tiles.mark(R::ZERO);
-                kernel::draw::<R, true>(&source, tiles);
+                kernel::draw::<R, true>(source, tiles);
             }
         }
-        Some(source)
     }
 }
 

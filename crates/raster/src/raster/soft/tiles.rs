@@ -6,8 +6,8 @@ use crate::raster::{Pixel, Size};
 /// Side of a tile in pixels.
 pub(super) const SIDE: usize = 4;
 
-/// How pixels become widths: a squared length in widths is the exponent of the profile. The origin
-/// is the centre of the image.
+/// How pixels become widths: a squared length in widths is the exponent of the profile, as one of
+/// 2. The origin is the centre of the image.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Units {
     /// Widths in a pixel, per axis.
@@ -19,9 +19,11 @@ pub(super) struct Units {
 }
 
 impl Units {
+    /// `scale` and `exponent` are those of `exp`.
     pub(super) fn new(size: Size, scale: [f64; 2], exponent: f64) -> Self {
         let half = [0.5 * size.width as f64, 0.5 * size.height as f64];
-        Self { scale, half, reach: exponent.sqrt() }
+        let root = std::f64::consts::LOG2_E.sqrt();
+        Self { scale: scale.map(|s| s * root), half, reach: exponent.sqrt() * root }
     }
 
     /// The largest coordinate of a point of the image, in widths.
@@ -41,9 +43,9 @@ pub(super) struct Tiles<R> {
     pub(super) values: Vec<[R; LANES]>,
     /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
     bits: Vec<u8>,
-    /// Pixel centres of the tiles of a column, in widths.
+    /// Pixel centres of the tiles of a column, in widths; and eight columns more.
     pub(super) x: Vec<[R; LANES]>,
-    /// Pixel centres of the tiles of a row, in widths.
+    /// Pixel centres of the tiles of a row, in widths; and eight rows more.
     pub(super) y: Vec<[R; LANES]>,
 }
 
@@ -82,11 +84,11 @@ impl<R: Real> Tiles<R> {
             R::of((pixel - units.half[axis]) * units.scale[axis])
         };
         self.x.clear();
-        self.x.extend((0..self.count[0]).map(|tile| -> [R; LANES] {
+        self.x.extend((0..self.count[0] + 8).map(|tile| -> [R; LANES] {
             std::array::from_fn(|lane| place(0, SIDE * tile + lane % SIDE))
         }));
         self.y.clear();
-        self.y.extend((0..self.count[1]).map(|tile| -> [R; LANES] {
+        self.y.extend((0..self.count[1] + 8).map(|tile| -> [R; LANES] {
             std::array::from_fn(|lane| place(1, SIDE * tile + lane / SIDE))
         }));
         true

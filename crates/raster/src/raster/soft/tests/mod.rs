@@ -364,3 +364,65 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_kept_product_gives_the_same_gradient() {
+    use crate::raster::{Batch, Wanted};
+    let size = Size { height: 18, width: 24 };
+    let scene = soup(3, size, 4.0);
+    let points: Vec<[f64; 3]> = scene.points.iter().map(|p| [p[0], p[1], 0.0]).collect();
+    let model = Model::new(&points, &scene.faces).expect("a model");
+    let camera = Intrinsics::new(1.0, 1.0, 0.0, 0.0).expect("a camera");
+    let rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let views = [View { rotation, translation: [0.0, 0.0, 1.0], camera }];
+    let upstream: Vec<f32> =
+        (0..size.pixels()).map(|k| ((k * 7919) % 1000) as f32 / 500.0 - 1.0).collect();
+    let wide: Vec<f64> = upstream.iter().map(|&x| f64::from(x)).collect();
+    for mode in
+        [Mode::Dibr { delta: 700.0, cutoff: None }, Mode::Sigmoid { sigma: 1e-3, cutoff: None }]
+    {
+        let batch = Batch { models: &[&model], views: &views, size, mode, near: None };
+        let wanted = Wanted { vertices: true };
+        let (mut plain, mut traced) = (vec![0.0_f32; upstream.len()], vec![9.0; upstream.len()]);
+        batch.draw(&mut plain).expect("drawn");
+        let traces = batch.draw_traced(&mut traced).expect("drawn");
+        assert_eq!(plain, traced);
+        assert!(traces.bytes() > 0);
+        let again = batch.gradients(&upstream, wanted).expect("drawn");
+        let kept = batch.gradients_of(&traces, &upstream, wanted).expect("drawn");
+        assert!(again.vertices[0].iter().any(|g| *g != 0.0));
+        assert_eq!((again.views, again.vertices), (kept.views, kept.vertices));
+        // A product in single precision is not that of a mask in double precision.
+        let again = batch.gradients(&wide, wanted).expect("drawn");
+        let kept = batch.gradients_of(&traces, &wide, wanted).expect("drawn");
+        assert_eq!(again.views, kept.views);
+        let other = Batch { mode: Mode::Dibr { delta: 7.0, cutoff: None }, ..batch };
+        let refused = other.gradients_of(&traces, &upstream, wanted).expect_err("refused");
+        assert!(refused.to_string().contains("traces"), "{refused}");
+    }
+}
+
+#[test]
+fn masks_of_small_triangles_are_those_of_the_definition() {
+    let (size, mut noise) = (Size { height: 24, width: 32 }, Noise(11));
+    for k in 0..2000 {
+        let length = [0.1, 0.6, 3.0, 9.0][k % 4];
+        let corner = [6.0 + 20.0 * noise.next(), 5.0 + 14.0 * noise.next()];
+        let points = (0..3)
+            .map(|_| {
+                let [u, v] = corner;
+                [u + length * (noise.next() - 0.5), v + length * (noise.next() - 0.5), 1.0]
+            })
+            .collect();
+        let scene = Scene { points, faces: vec![[0, 1, 2]], size };
+        let delta = [1e3, 7e3][k / 4 % 2];
+        for mode in
+            [Mode::Dibr { delta, cutoff: None }, Mode::Sigmoid { sigma: 1.0 / delta, cutoff: None }]
+        {
+            let exact = oracle(&scene, mode);
+            let double = difference(&scene.draw::<f64>(mode), &exact);
+            let single = difference(&scene.draw::<f32>(mode), &exact);
+            assert!(double < 1e-11 && single < 2e-5, "{k} {mode:?}: {double}, {single}");
+        }
+    }
+}

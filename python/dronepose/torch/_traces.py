@@ -1,9 +1,9 @@
-"""Outlines of the masks of the last forward passes, found again by content.
+"""Traces of the masks of the last forward passes, found again by content.
 
-The gradient of mode ``"coverage"`` needs the outline that the mask was drawn from. It cannot travel
-as an output of the operator (the number of pieces depends on the values), so it waits here under
-the very numbers it was made of until the backward pass takes it; one that is not found is made
-again, to the same bits. There is no lock: the entries are one tuple that is replaced as a whole.
+A gradient needs the outline that a mask of mode ``"coverage"`` was drawn from, or the product that
+an exact soft mask is made of. They cannot travel as an output of the operator (the size of an
+outline depends on the values), so they wait here under the very numbers they were made of until the
+backward pass takes them; one that is not found is made again, to the same bits. There is no lock: the entries are one tuple that is replaced as a whole.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Key(NamedTuple):
 
     models: tuple[int, ...]
     numbers: tuple[bytes, bytes, bytes]
-    options: tuple[int, int, str, float, float | None]
+    options: tuple[int, int, str, float, tuple[float, int] | None, float | None]
 
 
 class _Entry(NamedTuple):
@@ -45,17 +45,18 @@ def key_of(
     ],
     shape: tuple[int, int],
     mode: str,
-    sigma: float,
+    softness: float,
+    limit: tuple[float, int] | None,
     near: float | None,
 ) -> Key:
     """The key of masks of ``shape`` ``(H, W)``."""
     models, R, t, K = batch
     numbers = (R.tobytes(), t.tobytes(), K.tobytes())
-    return Key(tuple(map(id, models)), numbers, (*shape, mode, sigma, near))
+    return Key(tuple(map(id, models)), numbers, (*shape, mode, softness, limit, near))
 
 
 def keep(key: Key, models: list[_native.Model], traces: _native.Traces) -> None:
-    """Keep outlines, and drop the oldest where there are too many."""
+    """Keep traces, and drop the oldest where there are too many."""
     global _kept
     found, size = [_Entry(key, models, traces)], 0
     for entry in _kept[: _ENTRIES - 1]:
@@ -68,7 +69,7 @@ def keep(key: Key, models: list[_native.Model], traces: _native.Traces) -> None:
 
 
 def take(key: Key) -> _native.Traces | None:
-    """The outlines kept under a key, which are not kept any longer; ``None`` if there are none."""
+    """The traces kept under a key, which are not kept any longer; ``None`` if there are none."""
     global _kept
     entries = _kept
     for entry in entries:

@@ -1,0 +1,208 @@
+//! Which edge of a face is the nearest one, for whole tiles.
+//!
+//! Around a face, the points nearest to an edge are a strip from that edge outwards, and those
+//! nearest to a corner are the wedge between two strips, where either edge gives the distance. Of
+//! small faces nearly every tile within reach meets one strip or lies in one wedge, and needs one
+//! edge instead of three. A tile is taken for the square of its pixel centres, a little enlarged.
+
+use super::faces::{Block, Source};
+use super::real::{LANES, Real};
+use super::tiles::SIDE;
+
+/// The last pixel centre of a tile from its first, in tiles.
+const LAST: f64 = (SIDE - 1) as f64 / SIDE as f64;
+
+/// Widths by which strips are enlarged: more than rounding and [`LEVEL`] take away.
+const MARGIN: f64 = 2e-3;
+
+/// An edge that rises by less than so many widths over a tile counts as rising by that.
+const LEVEL: f64 = 1e-4;
+
+/// Of the 8x8 tiles from the first one within reach on: bit `8 row + column`, for each face.
+#[derive(Debug)]
+pub(super) struct Near {
+    /// Those within reach; all where the face reaches further than eight tiles.
+    pub(super) all: [u64; LANES],
+    /// Those of them for which an edge alone gives the distance to the face, for each edge.
+    pub(super) one: [[u64; LANES]; 3],
+}
+
+/// The bounds of an edge's strip in a row of tiles, in columns.
+#[derive(Debug, Clone, Copy)]
+struct Strip<R> {
+    /// From here on the tiles touch it; for row 0 and a row further.
+    low: [R; LANES],
+    shift: [R; LANES],
+    /// The length.
+    wide: [R; LANES],
+    /// Whether the edge ends on the right of it.
+    right: [bool; LANES],
+    /// Up to here (or from here on: `beyond`) the tiles touch the outer side.
+    outer: [R; LANES],
+    outer_shift: [R; LANES],
+    /// The same for the inner side.
+    inner: [R; LANES],
+    beyond: [bool; LANES],
+}
+
+impl Near {
+    pub(super) fn new() -> Self {
+        Self { all: [0; LANES], one: [[0; LANES]; 3] }
+    }
+
+    /// The tiles of the first `count` faces; `low` and `high` are their bounds in tiles, from the
+    /// first tile within reach on. With `inside`, tiles that touch a face need all its edges.
+    #[inline(always)]
+    pub(super) fn find<R: Real>(
+        block: &mut Block<R>,
+        source: &Source<'_>,
+        low: &[[f64; LANES]; 2],
+        high: &[[f64; LANES]; 2],
+        inside: bool,
+    ) {
+        let super::tiles::Units { scale, reach, .. } = source.units;
+        let mut strips = [Strip::new(), Strip::new(), Strip::new()];
+        let (mut x0, mut x1, mut y0, mut y1) =
+            ([R::ZERO; LANES], [R::ZERO; LANES], [R::ZERO; LANES], [R::ZERO; LANES]);
+        for k in 0..3 {
+            strips[k].set(block, source, k);
+        }
+        for l in 0..LANES {
+            (x0[l], x1[l]) = (R::of(low[0][l]), R::of(high[0][l]));
+            (y0[l], y1[l]) = (R::of(low[1][l]), R::of(high[1][l]));
+        }
+        let (down, across) = (R::of(SIDE as f64 * scale[1]), R::of(1.0 / (SIDE as f64 * scale[0])));
+        let squared = R::of(reach * reach * 1.001);
+        let last = R::of(LAST + 1e-3);
+        let mut rows = 0;
+        for l in 0..LANES {
+            rows = rows.max(block.tiles[3][l] - block.tiles[2][l]);
+        }
+        // Rows 0 to 3 and 4 to 7.
+        let mut near = [[[0_u32; LANES]; 4]; 2];
+        for row in 0..rows.min(8) {
+            let r = R::of(f64::from(row));
+            let (half, place) = ((row / 4) as usize, 8 * (row % 4));
+            for l in 0..LANES {
+                let gap = (y0[l] - r - last).most(r - y1[l]).most(R::ZERO) * down;
+                let left = squared - gap * gap;
+                let wide = left.most(R::ZERO).sqrt() * across;
+                let bits = before(x1[l] + wide) & !before(x0[l] - wide - last);
+                let bits = if left > R::ZERO { bits } else { 0 };
+                // Of each edge: touching its strip, wholly past its end, wholly before its begin.
+                let (mut touch, mut past, mut ahead) = ([0; 3], [0; 3], [0; 3]);
+                let mut within = 0xFF;
+                for k in 0..3 {
+                    let s = &strips[k];
+                    let from = s.low[l] + r * s.shift[l];
+                    let (small, large) = (before(from), 0xFF & !before(from + s.wide[l]));
+                    let shift = r * s.outer_shift[l];
+                    let flip = if s.beyond[l] { 0xFF } else { 0 };
+                    touch[k] = !(small | large) & (before(s.outer[l] + shift) ^ flip);
+                    past[k] = if s.right[l] { large } else { small };
+                    ahead[k] = if s.right[l] { small } else { large };
+                    if inside {
+                        within &= before(s.inner[l] + shift) ^ !flip;
+                    }
+                }
+                // The bounds of a strip are taken one by one, and a tile may be within all of them
+                // without touching it. Wedges have no such doubt, and go first.
+                let wedge = [past[0] & ahead[1], past[1] & ahead[2], past[2] & ahead[0]];
+                let wedges = wedge[0] | wedge[1] | wedge[2];
+                let outside = if inside { bits & !within } else { bits };
+                let mut found = [0; 3];
+                for k in 0..3 {
+                    let others = touch[(k + 1) % 3] | touch[(k + 2) % 3];
+                    found[k] = outside & (wedge[k] | (touch[k] & !(others | wedges)));
+                }
+                near[half][0][l] |= found[0] << place;
+                near[half][1][l] |= found[1] << place;
+                near[half][2][l] |= found[2] << place;
+                near[half][3][l] |= bits << place;
+            }
+        }
+        for l in 0..LANES {
+            let join = |k: usize| u64::from(near[0][k][l]) | u64::from(near[1][k][l]) << 32;
+            block.near.all[l] = join(3);
+            for k in 0..3 {
+                block.near.one[k][l] = join(k);
+            }
+        }
+        let near = &mut block.near;
+        for l in 0..LANES {
+            let tiles = &block.tiles;
+            let large = (tiles[1][l] - tiles[0][l]).max(tiles[3][l] - tiles[2][l]) > 8;
+            near.all[l] |= if large { u64::MAX } else { 0 };
+            let keep = if large | block.flat[l] | block.far[l] { 0 } else { u64::MAX };
+            for k in 0..3 {
+                near.one[k][l] &= keep;
+            }
+        }
+    }
+}
+
+/// The columns of eight that are less than `x`.
+#[inline(always)]
+fn before<R: Real>(x: R) -> u32 {
+    (1 << x.most(R::ZERO).least(R::of(8.0)).ceil_bits()) - 1
+}
+
+impl<R: Real> Strip<R> {
+    #[inline(always)]
+    fn new() -> Self {
+        let none = [R::ZERO; LANES];
+        Self {
+            low: none,
+            shift: none,
+            wide: none,
+            right: [false; LANES],
+            outer: none,
+            outer_shift: none,
+            inner: none,
+            beyond: [false; LANES],
+        }
+    }
+
+    /// The strip of edge `k` of each face.
+    #[inline(always)]
+    fn set(&mut self, block: &Block<R>, source: &Source<'_>, k: usize) {
+        let super::tiles::Units { scale, half, .. } = source.units;
+        let edges = &block.edges[k];
+        // Widths in a tile, and from its middle to its last pixel centre.
+        let tile = [R::of(SIDE as f64 * scale[0]), R::of(SIDE as f64 * scale[1])];
+        let out = 0.5 * LAST * SIDE as f64;
+        let radius = [R::of(out * scale[0]), R::of(out * scale[1])];
+        let (level, margin) = (R::of(LEVEL), R::of(MARGIN));
+        let middle = |axis: usize| (source.first[axis] * SIDE + SIDE / 2) as f64 - half[axis];
+        let middle = [middle(0), middle(1)];
+        for l in 0..LANES {
+            let x = middle[0] + SIDE as f64 * f64::from(block.tiles[0][l]);
+            let y = middle[1] + SIDE as f64 * f64::from(block.tiles[2][l]);
+            let x = R::of(x * scale[0] - block.x[l].wide());
+            let y = R::of(y * scale[1] - block.y[l].wide());
+            let (ex, ey) = (edges.x[l], edges.y[l]);
+            let along = ex * x + ey * y + edges.along[l];
+            let across = ex * y - ey * x + edges.across[l];
+            let wide = edges.half[l] + ex.abs() * radius[0] + ey.abs() * radius[1] + margin;
+            let thick = ey.abs() * radius[0] + ex.abs() * radius[1] + margin;
+            // |along + (row, column) part| <= wide, solved for the column.
+            let step = ex * tile[0];
+            let step = if step.abs() > level { step } else { level };
+            let inverse = R::ONE / step;
+            let right = step > R::ZERO;
+            let end = if right { wide } else { -wide };
+            self.low[l] = -(end + along) * inverse;
+            self.wide[l] = (end + end) * inverse;
+            self.shift[l] = -(ey * tile[1]) * inverse;
+            self.right[l] = right;
+            // across + (row, column) part < thick.
+            let step = -(ey * tile[0]);
+            let step = if step.abs() > level { step } else { level };
+            let inverse = R::ONE / step;
+            self.outer[l] = (thick - across) * inverse;
+            self.inner[l] = -(thick + across) * inverse;
+            self.outer_shift[l] = -(ex * tile[1]) * inverse;
+            self.beyond[l] = step < R::ZERO;
+        }
+    }
+}
