@@ -219,7 +219,13 @@ def test_the_loss_falls_and_the_share_of_the_renderer_is_told(trained):
     found = losses_of(out)
     assert np.mean(found[-4:]) < 0.7 * np.mean(found[:4])
     assert "CPE" in done.stderr
-    assert re.search(r"silhouettes [0-9.]+ ms, [0-9.]+ % of it", done.stderr)
+    told = re.search(
+        r"drawing ([0-9.]+) ms, ([0-9.]+) %, with its loss ([0-9.]+) ms, ([0-9.]+) %", done.stderr
+    )
+    assert told is not None
+    drawing, share, objective, objective_share = map(float, told.groups())
+    assert 0 < drawing < objective
+    assert 0 < share < objective_share < 100
     assert (out / "checkpoints" / "last.ckpt").exists()
     assert list((out / "tensorboard").glob("events*"))
 

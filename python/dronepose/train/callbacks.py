@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 class RendererShare(Callback):
     """Times steps and the silhouette objective in them, and says what share that has.
 
-    ``renderer/share`` is logged for every epoch: forward and backward of mask and loss over the
-    whole step, data loading excluded. Backward is timed by hooks on the predicted poses.
+    ``renderer/share`` is logged for every epoch: forward and backward of the masks over the whole
+    step, data loading excluded; ``renderer/objective_share`` has the loss with it. Backward is
+    timed by hooks on the masks and the predicted poses.
 
     Args:
         tell: Whether to print a line for each epoch, on the error stream.
@@ -40,13 +41,15 @@ class RendererShare(Callback):
         self._count = 0
         self._loss = 0.0
         self.share: float | None = None
-        """Of the last epoch; ``None`` without a silhouette."""
+        """Of drawing, in the last epoch; ``None`` without a silhouette."""
+        self.objective_share: float | None = None
+        """Of drawing and loss."""
 
     def on_train_epoch_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Begin again."""
         self._steps, self._count, self._loss = 0.0, 0, 0.0
         if isinstance(pl_module, PoseTask) and pl_module.exo is not None:
-            pl_module.exo.seconds = 0.0
+            pl_module.exo.reset_times()
 
     def on_train_batch_start(
         self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int
@@ -76,10 +79,13 @@ class RendererShare(Callback):
             told.append(f"OE {float(trainer.callback_metrics['val/oe_deg']):.2f} deg")
         told.append(f"{1e3 * self._steps / self._count:.2f} ms an image and step")
         if exo is not None and exo.seconds > 0.0:
-            self.share = exo.seconds / self._steps
+            self.share = exo.drawing_seconds / self._steps
+            self.objective_share = exo.seconds / self._steps
             pl_module.log("renderer/share", self.share)
-            each = 1e3 * exo.seconds / self._count
-            told.append(f"silhouettes {each:.3f} ms, {100 * self.share:.2f} % of it")
+            pl_module.log("renderer/objective_share", self.objective_share)
+            for name, seconds in (("drawing", exo.drawing_seconds), ("with its loss", exo.seconds)):
+                each, share = 1e3 * seconds / self._count, 100 * seconds / self._steps
+                told.append(f"{name} {each:.3f} ms, {share:.2f} %")
         if trainer.is_global_zero and self.tell:
             print(", ".join(told), file=sys.stderr, flush=True)
 

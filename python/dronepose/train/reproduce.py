@@ -123,7 +123,7 @@ def run_one(plan: Plan, variant: str, seed: int, out: Path) -> dict[str, Any]:
         out: Folder of all runs.
 
     Returns:
-        The metrics of the test split, seconds, the share of the renderer, memory.
+        The metrics of the test split, seconds, the share of masks and loss in a step, memory.
 
     Raises:
         OSError: The data set cannot be read.
@@ -183,7 +183,7 @@ def run_one(plan: Plan, variant: str, seed: int, out: Path) -> dict[str, Any]:
         "test": task.epoch_report,
         "seconds": time.monotonic() - begin,
         "resumed": resumed,
-        "renderer_share": share.share,
+        "renderer_share": share.objective_share,
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
     write_text(result, json.dumps(found, indent=1))

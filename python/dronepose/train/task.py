@@ -45,7 +45,9 @@ class Exo(nn.Module):
         sigma_ndc: Width of mode ``"sigmoid"``, squared NDC, as SoftRas has it.
 
     Attributes:
-        seconds: Time spent in forward and backward passes since it was last set to zero.
+        seconds: Time spent in forward and backward passes of masks and loss since they were last
+            set to zero.
+        drawing_seconds: The part of it that went into masks and their gradients.
     """
 
     def __init__(
@@ -64,7 +66,11 @@ class Exo(nn.Module):
         self.register_buffer("faces", torch.tensor(mesh.faces).long(), persistent=False)
         self.loss = losses.silhouette_loss(loss, **(options or {}))
         self.drawing = {"mode": mode, "sigma": sigma, "delta": delta, "sigma_ndc": sigma_ndc}
-        self.seconds = 0.0
+        self.reset_times()
+
+    def reset_times(self) -> None:
+        """Count from zero."""
+        self.seconds = self.drawing_seconds = 0.0
 
     def draw(self, R: Tensor, t: Tensor, K: Tensor, height: int, width: int) -> Tensor:
         """Masks ``(B, H, W)`` float32 under ``R`` ``(B, 3, 3)``, ``t`` ``(B, 3)`` metres."""
@@ -88,29 +94,39 @@ class Exo(nn.Module):
         begin = time.perf_counter()
         R, t = R.clone(), t.clone()
         masks = self.draw(R, t, K, target.shape[-2], target.shape[-1])
+        drawn = time.perf_counter()
         value: Tensor = self.loss(masks, target)
         self.seconds += time.perf_counter() - begin
+        self.drawing_seconds += drawn - begin
         if value.requires_grad and not torch.compiler.is_compiling():
-            self._time_backward(value, (R, t))
+            self._time_backward(value, masks, (R, t))
         return value
 
-    def _time_backward(self, value: Tensor, poses: tuple[Tensor, ...]) -> None:
-        """From the gradient for the loss to those for the poses."""
-        begin: list[float] = []
+    def _time_backward(self, value: Tensor, masks: Tensor, poses: tuple[Tensor, ...]) -> None:
+        """From the gradient for the loss to that for the masks, and on to those for the poses."""
+        last: list[float] = []
 
         def start(_: Tensor) -> None:
-            begin.append(time.perf_counter())
+            last.append(time.perf_counter())
 
-        def stop(_: Tensor) -> None:
-            if begin:
+        def count(*, drawing: bool) -> None:
+            if last:
                 now = time.perf_counter()
-                self.seconds += now - begin[-1]
-                begin[-1] = now
+                self.seconds += now - last[-1]
+                self.drawing_seconds += now - last[-1] if drawing else 0.0
+                last[-1] = now
+
+        def of_masks(_: Tensor) -> None:
+            count(drawing=False)
+
+        def of_pose(_: Tensor) -> None:
+            count(drawing=True)
 
         value.register_hook(start)  # type: ignore[no-untyped-call]
+        masks.register_hook(of_masks)  # type: ignore[no-untyped-call]
         for pose in poses:
             if pose.requires_grad:
-                pose.register_hook(stop)  # type: ignore[no-untyped-call]
+                pose.register_hook(of_pose)  # type: ignore[no-untyped-call]
 
 
 class PoseTask(lightning.LightningModule):
