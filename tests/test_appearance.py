@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from dronepose import Camera, Mesh, render
-from dronepose.render import Environment, Light, Material, Texture, colour, srgb_bytes
+from dronepose.render import (
+    Environment,
+    Light,
+    Material,
+    Texture,
+    colour,
+    srgb_bytes,
+    srgb_linear,
+)
 
 CAMERA = Camera(40.0, 42.0, 24.0, 18.0, 48, 36)
 SQUARE = Mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
@@ -82,6 +90,36 @@ def test_what_is_in_front_hides_what_is_behind():
     np.testing.assert_allclose(found.share, shares.sum(axis=0), atol=1e-6)
 
 
+def test_opacity_shows_the_mesh_behind():
+    """A pane half in front of a wall, over the wall drawn by itself."""
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, 256, (4, 4, 4)).astype(np.uint8)
+    pane, wall = Material(Texture(image), lit=False), Material((0.2, 0.9, 0.4), lit=False)
+    t = np.array([[0.9, 0.0, 2.5], [0.0, 0.0, 3.0]])
+    options = {"uv": [UV, None], "samples": 4}
+    both = colour([SQUARE] * 2, CAMERA, [EYE] * 2, t, materials=[pane, wall], **options)
+    alone = colour(SQUARE, CAMERA, EYE, t[1], materials=wall, samples=4)
+    hiding = Material(Texture(np.ascontiguousarray(image[..., :3])), lit=False)
+    front = colour([SQUARE] * 2, CAMERA, [EYE] * 2, t, materials=[hiding, wall], **options)
+    assert front.veil.max() == 0
+    np.testing.assert_array_equal(front.shares, both.shares)
+    # Opacity by an image of its own: what is 255 all over has the opacity as its colour.
+    grey = np.repeat(image[..., 3:], 3, axis=2)
+    opacity = colour(SQUARE, CAMERA, EYE, t[0], materials=Material(Texture(grey), lit=False),
+                     uv=UV, samples=4)  # fmt: skip
+    seen = both.shares[0] > 0.999
+    shown = 1 - both.veil[seen]
+    assert shown.min() < 0.3 < 0.7 < shown.max()
+    # Bytes of colours are curved, those of opacity are not: equal only at the ends.
+    assert np.corrcoef(shown, opacity.rgb[seen][:, 0] ** (1 / 2.2))[0, 1] > 0.98
+    over = both.rgb + both.veil[..., None] * alone.rgb
+    rim = (both.shares[0] > 0) & (both.shares[1] > 0)
+    expected = shown[:, None] * front.rgb[seen] + (1 - shown)[:, None] * alone.rgb[seen]
+    assert np.abs(over[seen] - expected).max() < 1e-5
+    assert rim.any()
+    assert over[rim].max() <= 1.0
+
+
 def test_light_comes_from_where_the_panorama_has_it():
     bright = np.zeros((32, 64, 3))
     bright[:16] = 1  # the upper half of the world
@@ -131,6 +169,7 @@ def test_threads_and_batches_give_the_same_bits():
 def test_srgb_bytes_are_the_standard():
     every = np.arange(256)
     np.testing.assert_array_equal(srgb_bytes(linear(every)), every)
+    np.testing.assert_allclose(srgb_linear(every.astype(np.uint8)), linear(every), rtol=1e-6)
     assert srgb_bytes([[-1.0, np.nan], [2.0, 0.214]]).tolist() == [[0, 0], [255, 127]]
 
 

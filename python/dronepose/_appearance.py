@@ -27,7 +27,8 @@ class Texture:
     OBJ and COLLADA files (glTF counts ``v`` from the top), and repeat.
 
     Args:
-        image: ``(H, W, 3)`` uint8, sRGB, the upper row first.
+        image: ``(H, W, 3)`` uint8, sRGB, the upper row first; or ``(H, W, 4)``, the last is opacity,
+            255 hides what is behind. Colours are not multiplied by it.
 
     Raises:
         ValueError: Another shape or dtype, or a side above 16384.
@@ -40,9 +41,9 @@ class Texture:
 
     def __init__(self, image: NDArray[np.uint8]) -> None:
         array = np.asarray(image)
-        if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] != 3:
+        if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] not in (3, 4):
             raise ValueError(
-                f"image: expected uint8 of shape (H, W, 3), got {array.dtype} of {array.shape}"
+                f"image: expected uint8 of shape (H, W, 3 or 4), got {array.dtype} of {array.shape}"
             )
         self._native = _native.Texture(np.ascontiguousarray(array))
 
@@ -152,22 +153,27 @@ class Light:
 class Colours:
     """Planes of :func:`colour`, float32, with the leading axes of the poses.
 
-    Over a background ``b``: ``rgb + (1 - share[..., None]) * b``; bytes by :func:`srgb_bytes`.
+    Over a background ``b``: ``rgb + (1 - share + veil)[..., None] * b``; bytes by
+    :func:`srgb_bytes`.
 
     Args:
-        rgb: ``(..., H, W, 3)``, linear, times the covered share of the pixel.
+        rgb: ``(..., H, W, 3)``, linear, times the covered share of the pixel and the opacity there.
         share: ``(..., H, W)``, that share, 0 to 1.
         shares: ``(..., M, H, W)``, the share in which each mesh is seen: anti-aliased mattes.
+        veil: ``(..., H, W)``, the share that shows what is behind the nearest surface, by textures
+            with opacity; what that is, a second image says without those faces.
 
     Example:
         >>> import numpy as np
-        >>> Colours(np.zeros((1, 1, 3)), np.zeros((1, 1)), np.zeros((1, 1, 1))).rgb.shape
+        >>> pixel = np.zeros((1, 1))
+        >>> Colours(np.zeros((1, 1, 3)), pixel, pixel[None], pixel).rgb.shape
         (1, 1, 3)
     """
 
     rgb: NDArray[np.float32]
     share: NDArray[np.float32]
     shares: NDArray[np.float32]
+    veil: NDArray[np.float32]
 
 
 def _made(material: Material) -> tuple[Any, list[float], tuple[float, float] | None]:
@@ -257,6 +263,7 @@ def colour(
     size = (images, camera.height, camera.width)
     out = BUFFERS.empty((*size, 4), np.float32)
     shares = BUFFERS.empty((*size, len(meshes)), np.float32)
+    veil = BUFFERS.empty(size, np.float32)
     _native.colours(
         [m._native for m in meshes],
         _camera(camera, "camera"),
@@ -272,10 +279,11 @@ def colour(
         threads,
         out,
         shares,
+        veil,
     )
     shaped = out.reshape(*batch, *out.shape[1:])
     each = np.moveaxis(shares.reshape(*batch, *shares.shape[1:]), -1, -3)
-    return Colours(shaped[..., :3], shaped[..., 3], each)
+    return Colours(shaped[..., :3], shaped[..., 3], each, veil.reshape(*batch, *veil.shape[1:]))
 
 
 def _indices(given: Any, meshes: list[Mesh], several: bool) -> list[NDArray[np.uint32] | None]:
@@ -295,6 +303,28 @@ def _indices(given: Any, meshes: list[Mesh], several: bool) -> list[NDArray[np.u
             raise ValueError(f"{name}: expected shape (F,) of indices, got {array.dtype}")
         out.append(np.ascontiguousarray(array, dtype=np.uint32))
     return out
+
+
+def srgb_linear(encoded: ArrayLike) -> NDArray[np.float32]:
+    """Linear light of sRGB bytes (IEC 61966-2-1).
+
+    Args:
+        encoded: uint8 of any shape.
+
+    Returns:
+        float32 of the same shape, 0 to 1.
+
+    Raises:
+        ValueError: ``encoded`` is not uint8.
+
+    Example:
+        >>> srgb_linear(np.array([0, 188, 255], np.uint8)).round(3).tolist()
+        [0.0, 0.503000020980835, 1.0]
+    """
+    array = np.ascontiguousarray(encoded)
+    if array.dtype != np.uint8:
+        raise ValueError(f"encoded: expected uint8, got {array.dtype}")
+    return _native.srgb_linear(array.ravel()).reshape(array.shape)
 
 
 def srgb_bytes(linear: ArrayLike) -> NDArray[np.uint8]:

@@ -45,6 +45,7 @@ __all__ = [
     "silhouette",
     "silhouette_gradients",
     "srgb_bytes",
+    "srgb_linear",
     "symmetric_orientation_error",
     "synth_defaults",
     "translation_error",
@@ -268,9 +269,9 @@ def gbuffer(
 
 @final
 class Texture:
-    """A pyramid of images of sRGB colours, which repeats."""
+    """A pyramid of images of sRGB colours, with opacity, which repeats."""
 
-    def __new__(cls, rgb: NDArray[uint8]) -> Texture: ...
+    def __new__(cls, image: NDArray[uint8]) -> Texture: ...
     @property
     def size(self) -> tuple[int, int]: ...
     @property
@@ -303,11 +304,16 @@ def colours(
     threads: int,
     out: NDArray[float32],
     shares: NDArray[float32],
+    veil: NDArray[float32],
 ) -> None:
-    """Write ``(B, H, W, 4)``: linear RGB times coverage, and coverage; and shares of the meshes."""
+    """Write ``(B, H, W, 4)``: linear RGB times coverage and opacity, and coverage; shares of the
+    meshes; and the share that shows what is behind."""
 
 def srgb_bytes(linear: NDArray[float32]) -> NDArray[uint8]:
     """Bytes of linear values in sRGB, flat."""
+
+def srgb_linear(bytes: NDArray[uint8]) -> NDArray[float32]:
+    """Linear values of sRGB bytes, flat."""
 
 def flow(
     meshes: list[Mesh],

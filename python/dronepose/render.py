@@ -40,6 +40,7 @@ from dronepose._appearance import (
     Texture,
     colour,
     srgb_bytes,
+    srgb_linear,
 )
 from dronepose._arrays import floats
 from dronepose._buffers import BUFFERS
@@ -80,6 +81,7 @@ __all__ = [
     "silhouette_gradients",
     "silhouette_vjp",
     "srgb_bytes",
+    "srgb_linear",
     "tangent",
 ]
 

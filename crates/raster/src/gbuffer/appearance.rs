@@ -32,18 +32,21 @@ pub struct Patch {
 
 /// What gives surfaces their colour.
 pub trait Shade: Sync {
-    /// Linear RGB of a patch of a surface that is seen under a view.
-    fn colour(&self, surface: &Surface<'_>, view: &View, patch: &Patch) -> [f32; 3];
+    /// Linear RGB, and opacity, of a patch of a surface that is seen under a view.
+    fn colour(&self, surface: &Surface<'_>, view: &View, patch: &Patch) -> [f32; 4];
 }
 
 /// Planes to write.
 #[derive(Debug)]
 pub struct Colours<'a> {
-    /// `(B, H, W, 4)`: linear red, green and blue times the share of the pixel that is covered, and
-    /// that share.
+    /// `(B, H, W, 4)`: linear red, green and blue times the share of the pixel that is covered and
+    /// the opacity there, and that share.
     pub colour: &'a mut [f32],
     /// `(B, H, W, M)`: the share of the pixel in which each surface is seen.
     pub shares: Option<&'a mut [f32]>,
+    /// `(B, H, W)`: the share that shows what is behind the nearest surface: shares times what is
+    /// missing of their opacity.
+    pub veil: Option<&'a mut [f32]>,
 }
 
 impl Colours<'_> {
@@ -52,7 +55,8 @@ impl Colours<'_> {
         let (colour, rest) = self.colour.split_at_mut(4 * pixels);
         let (shares, others) =
             self.shares.map(|shares| shares.split_at_mut(surfaces * pixels)).unzip();
-        (Colours { colour, shares }, Colours { colour: rest, shares: others })
+        let (veil, behind) = self.veil.map(|veil| veil.split_at_mut(pixels)).unzip();
+        (Colours { colour, shares, veil }, Colours { colour: rest, shares: others, veil: behind })
     }
 }
 
@@ -78,6 +82,9 @@ pub fn draw<'a>(
     assert_eq!(out.colour.len(), scenes.images() * pixels * 4, "colour: (B, H, W, 4)");
     if let Some(shares) = &out.shares {
         assert_eq!(shares.len(), scenes.images() * pixels * count, "shares: (B, H, W, M)");
+    }
+    if let Some(veil) = &out.veil {
+        assert_eq!(veil.len(), scenes.images() * pixels, "veil: (B, H, W)");
     }
     let fine = Size { height: scenes.size.height * samples, width: scenes.size.width * samples };
     let image = |image: usize, out: Colours<'a>| {
@@ -124,6 +131,9 @@ impl Pixels<'_> {
         if let Some(shares) = &mut out.shares {
             shares.fill(0.0);
         }
+        if let Some(veil) = &mut out.veil {
+            veil.fill(0.0);
+        }
         let (n, dirty) = (self.samples, self.band.dirty);
         let share = 1.0 / (n * n) as f32;
         let mut seen = [Seen::default(); LARGEST_SAMPLES * LARGEST_SAMPLES];
@@ -135,10 +145,15 @@ impl Pixels<'_> {
                     let patch = self.patch(row, column, seen);
                     let surface = patch.fragment.surface;
                     let view = &self.views[surface];
-                    let shaded = shade.colour(&self.surfaces[surface], view, &patch);
+                    let [r, g, b, opacity] = shade.colour(&self.surfaces[surface], view, &patch);
                     let weight = seen.count as f32 * share;
-                    for (out, c) in colour.iter_mut().zip(shaded.into_iter().chain([1.0])) {
-                        *out += weight * c;
+                    let shown = weight * opacity;
+                    for (out, c) in colour.iter_mut().zip([shown * r, shown * g, shown * b, weight])
+                    {
+                        *out += c;
+                    }
+                    if let Some(veil) = &mut out.veil {
+                        veil[pixel] += weight - shown;
                     }
                     if let Some(shares) = &mut out.shares {
                         shares[pixel * count + surface] += weight;
@@ -241,7 +256,7 @@ mod tests {
     struct Slopes<'a>(&'a Model);
 
     impl Shade for Slopes<'_> {
-        fn colour(&self, _: &Surface<'_>, view: &View, patch: &Patch) -> [f32; 3] {
+        fn colour(&self, _: &Surface<'_>, view: &View, patch: &Patch) -> [f32; 4] {
             let corners = self.0.faces()[patch.fragment.face].map(|k| {
                 let p = self.0.vertex(k as usize);
                 let turned = view.rotation.map(|row| (0..3).map(|k| row[k] * p[k]).sum::<f64>());
@@ -263,7 +278,7 @@ mod tests {
                     assert!((near - here - expected).abs() < 1e-3 * h, "{axis} {c}");
                 }
             }
-            [1.0; 3]
+            [1.0; 4]
         }
     }
 
@@ -277,7 +292,7 @@ mod tests {
         let scenes = Scenes { surfaces: &surfaces, views: &views, size: SIZE, near: Some(0.05) };
         let mut out = vec![0.0; 2 * SIZE.pixels() * 4];
         let mut shares = vec![0.0; 2 * SIZE.pixels()];
-        let planes = Colours { colour: &mut out, shares: Some(&mut shares) };
+        let planes = Colours { colour: &mut out, shares: Some(&mut shares), veil: None };
         draw(&scenes, 3, &Slopes(&model), planes).unwrap();
         let mut share = vec![0.0_f32; 2 * SIZE.pixels()];
         coverage::draw(&scenes, 3, Share::All, &mut share).unwrap();
@@ -300,7 +315,8 @@ mod tests {
         let materials = Materials { of_surfaces: &[&material], of_faces: &[None], lights: &[] };
         materials.check(&surfaces, 1).unwrap();
         let mut out = vec![0.0; SIZE.pixels() * 4];
-        draw(&scenes, 4, &materials, Colours { colour: &mut out, shares: None }).unwrap();
+        draw(&scenes, 4, &materials, Colours { colour: &mut out, shares: None, veil: None })
+            .unwrap();
         let at = |row: usize, column: usize| {
             let pixel = &out[4 * (row * SIZE.width + column)..][..4];
             [pixel[0], pixel[1], pixel[2]].map(|c| (c * 4.0).round() / 4.0)
@@ -311,6 +327,25 @@ mod tests {
         assert_eq!(at(17, 10), [0.0, 0.0, 1.0]);
         assert_eq!(at(17, 21), [1.0, 1.0, 1.0]);
         assert_eq!(at(6, 3), [0.0; 3]);
+    }
+
+    #[test]
+    fn what_is_not_opaque_leaves_a_share_to_what_is_behind() {
+        let (model, uv) = square(0.5);
+        let texture = Texture::with_opacity((1, 1), &[255, 255, 255, 51]).unwrap();
+        let surfaces = [Surface { uv: Some(&uv), ..Surface::new(&model) }];
+        let views = [view([0.0, 0.0, 1.0])];
+        let scenes = Scenes { surfaces: &surfaces, views: &views, size: SIZE, near: None };
+        let material = [Material { paint: Paint::Texture(&texture), look: Look::Unlit }];
+        let materials = Materials { of_surfaces: &[&material], of_faces: &[None], lights: &[] };
+        let (mut out, mut veil) = (vec![0.0; SIZE.pixels() * 4], vec![9.0; SIZE.pixels()]);
+        let planes = Colours { colour: &mut out, shares: None, veil: Some(&mut veil) };
+        draw(&scenes, 2, &materials, planes).unwrap();
+        for (pixel, veil) in out.as_chunks::<4>().0.iter().zip(&veil) {
+            assert!((pixel[0] - 0.2 * pixel[3]).abs() < 1e-6, "{pixel:?}");
+            assert!((veil - 0.8 * pixel[3]).abs() < 1e-6, "{veil} {pixel:?}");
+        }
+        assert!((veil[12 * SIZE.width + 16] - 0.8).abs() < 1e-6);
     }
 
     #[test]
@@ -329,7 +364,8 @@ mod tests {
                 Materials { of_surfaces: &[&material], of_faces: &[None], lights: &lights };
             materials.check(&surfaces, 1).unwrap();
             let mut out = vec![0.0; SIZE.pixels() * 4];
-            draw(&scenes, 2, &materials, Colours { colour: &mut out, shares: None }).unwrap();
+            draw(&scenes, 2, &materials, Colours { colour: &mut out, shares: None, veil: None })
+                .unwrap();
             let middle = &out[4 * (12 * SIZE.width + 16)..][..4];
             // No light is made, and what is lost between facets is little.
             assert!(middle[0] > 0.46 && middle[0] < 0.51, "{metallic} {roughness}: {middle:?}");

@@ -35,7 +35,7 @@ mod _native {
         quat_wxyz_from_matrix, symmetric_orientation_error, translation_error,
     };
     #[pymodule_export]
-    use super::shade::{PyEnvironment, PyTexture, colours, srgb_bytes};
+    use super::shade::{PyEnvironment, PyTexture, colours, srgb_bytes, srgb_linear};
     #[pymodule_export]
     use super::silhouette::{PyModel, PyTraces, silhouette, silhouette_gradients};
     #[pymodule_export]

@@ -7,7 +7,7 @@
 
 use numpy::{
     PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
-    PyReadwriteArray4, PyUntypedArrayMethods,
+    PyReadwriteArray3, PyReadwriteArray4, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -27,12 +27,14 @@ pub(super) struct PyTexture(Texture);
 
 #[pymethods]
 impl PyTexture {
-    /// From `(H, W, 3)` bytes.
+    /// From `(H, W, 3)` bytes, or `(H, W, 4)` with opacity.
     #[new]
-    fn new(py: Python<'_>, rgb: PyReadonlyArray3<'_, u8>) -> PyResult<Self> {
-        let shape = (rgb.shape()[0], rgb.shape()[1]);
-        let rgb = rgb.as_slice()?;
-        Ok(Self(py.detach(|| Texture::new(shape, rgb))?))
+    fn new(py: Python<'_>, image: PyReadonlyArray3<'_, u8>) -> PyResult<Self> {
+        let (size, opacity) = ((image.shape()[0], image.shape()[1]), image.shape()[2] == 4);
+        let bytes = image.as_slice()?;
+        let new = if opacity { Texture::with_opacity } else { Texture::new };
+        let made = py.detach(|| new(size, bytes));
+        Ok(Self(made?))
     }
 
     /// Rows and columns.
@@ -86,8 +88,8 @@ type Made<'py> = (Option<PyRef<'py, PyTexture>>, [f32; 3], Option<(f64, f64)>);
 /// Environment, strength, `world_from_camera` row by row.
 type Lit<'py> = (PyRef<'py, PyEnvironment>, f32, [f64; 9]);
 
-/// Write `(B, H, W, 4)`: linear RGB times coverage, and coverage; and `(B, H, W, M)`: the share of
-/// each mesh.
+/// Write `(B, H, W, 4)`: linear RGB times coverage and opacity, and coverage; and `(B, H, W, M)`: the share of
+/// each mesh; and `(B, H, W)`: the share that shows what is behind.
 #[pyfunction]
 pub(super) fn colours(
     py: Python<'_>,
@@ -105,6 +107,7 @@ pub(super) fn colours(
     threads: usize,
     mut out: PyReadwriteArray4<'_, f32>,
     mut shares: PyReadwriteArray4<'_, f32>,
+    mut veil: PyReadwriteArray3<'_, f32>,
 ) -> PyResult<()> {
     let models = models(py, &meshes)?;
     let views: Vec<View> = views(&R, &t, camera)?;
@@ -154,7 +157,14 @@ pub(super) fn colours(
     if shares.shape() != [expected[0], expected[1], expected[2], models.len()] {
         return Err(PyValueError::new_err("shares: expected shape (B, H, W, M)"));
     }
-    let out = Colours { colour: out.as_slice_mut()?, shares: Some(shares.as_slice_mut()?) };
+    if veil.shape() != &expected[..3] {
+        return Err(PyValueError::new_err("veil: expected shape (B, H, W)"));
+    }
+    let out = Colours {
+        colour: out.as_slice_mut()?,
+        shares: Some(shares.as_slice_mut()?),
+        veil: Some(veil.as_slice_mut()?),
+    };
     py.detach(|| {
         threads::install(threads, || appearance::draw(&scenes, samples, &materials, out))
     })??;
@@ -187,4 +197,14 @@ pub(super) fn srgb_bytes<'py>(
         py.detach(|| srgb::encode_all(linear, out));
     }
     Ok(out)
+}
+
+/// Linear values of sRGB bytes, flat.
+#[pyfunction]
+pub(super) fn srgb_linear<'py>(
+    py: Python<'py>,
+    bytes: PyReadonlyArray1<'py, u8>,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    let linear: Vec<f32> = bytes.as_slice()?.iter().map(|&byte| srgb::decode(byte)).collect();
+    Ok(PyArray1::from_vec(py, linear))
 }

@@ -126,26 +126,27 @@ impl Materials<'_> {
 }
 
 impl Shade for Materials<'_> {
-    fn colour(&self, surface: &Surface<'_>, view: &View, patch: &Patch) -> [f32; 3] {
+    fn colour(&self, surface: &Surface<'_>, view: &View, patch: &Patch) -> [f32; 4] {
         let Fragment { surface: index, face, .. } = patch.fragment;
         let which = self.of_faces[index].map_or(0, |of_faces| of_faces[face] as usize);
         let material = &self.of_surfaces[index][which];
-        let colour = match (material.paint, surface.uv) {
-            (Paint::Colour(colour), _) => colour,
+        let [r, g, b, opacity] = match (material.paint, surface.uv) {
+            (Paint::Colour([r, g, b]), _) => [r, g, b, 1.0],
             (Paint::Texture(texture), Some(uv)) => textured(texture, &uv[face], patch),
-            (Paint::Texture(texture), None) => texture.mean(),
+            (Paint::Texture(texture), None) => texture.smallest(),
         };
-        match (material.look, self.lights.get(patch.image)) {
+        let [r, g, b] = match (material.look, self.lights.get(patch.image)) {
             (Look::Lit { roughness, metallic }, Some(light)) => {
-                lit(light, view, patch, colour, (roughness, metallic as f32))
+                lit(light, view, patch, [r, g, b], (roughness, metallic as f32))
             }
-            _ => colour,
-        }
+            _ => [r, g, b],
+        };
+        [r, g, b, opacity]
     }
 }
 
 /// The texture behind a patch, over its footprint.
-fn textured(texture: &Texture, corners: &[[f64; 2]; 3], patch: &Patch) -> [f32; 3] {
+fn textured(texture: &Texture, corners: &[[f64; 2]; 3], patch: &Patch) -> [f32; 4] {
     let along =
         |weights: [f64; 3]| [0, 1].map(|c| (0..3).map(|k| weights[k] * corners[k][c]).sum::<f64>());
     texture.sample(along(patch.fragment.barycentrics), patch.slopes.map(along))

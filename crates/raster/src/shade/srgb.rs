@@ -68,7 +68,8 @@ mod tests {
 
     #[test]
     fn known_values() {
-        assert_eq!(encode(0.214_041_14), 128 - 1 + u8::from(encode(0.214_041_14) == 128));
+        assert_eq!(encode(0.5), 188);
+        assert_eq!([encode(0.215_860_5), decode(0) as u8, decode(255) as u8], [128, 0, 1]);
         assert!((decode(188) - 0.502_886_5).abs() < 1e-6); // half the light is byte 188
         assert_eq!([encode(-1.0), encode(f32::NAN), encode(2.0), encode(1.0)], [0, 0, 255, 255]);
     }

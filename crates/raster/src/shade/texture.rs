@@ -20,7 +20,7 @@ pub struct Texture {
 struct Level {
     width: usize,
     height: usize,
-    /// sRGB; the fourth byte is not used.
+    /// sRGB, and opacity.
     texels: Vec<[u8; 4]>,
 }
 
@@ -29,21 +29,29 @@ impl Texture {
     ///
     /// # Errors
     /// [`Error::Argument`] where the length is not `3 height width`, or a side is 0 or above 16384.
-    pub fn new((height, width): (usize, usize), rgb: &[u8]) -> Result<Self> {
-        let refuse = |message: String| Err(Error::argument("texture", message));
-        if !(1..=16_384).contains(&height) || !(1..=16_384).contains(&width) {
-            return refuse(format!("{height} x {width} pixels; expected sides of 1 to 16384"));
-        }
-        if rgb.len() != 3 * height * width {
-            return refuse(format!("{} bytes, expected {}", rgb.len(), 3 * height * width));
-        }
+    pub fn new(size: (usize, usize), rgb: &[u8]) -> Result<Self> {
+        check(size, rgb.len(), 3)?;
         let texels = rgb.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]).collect();
+        Ok(Self::of(size, texels))
+    }
+
+    /// From rows of RGB and opacity (255 hides what is behind), `(H, W, 4)`. Colours are not
+    /// multiplied by the opacity.
+    ///
+    /// # Errors
+    /// As [`Texture::new`], with `4 height width`.
+    pub fn with_opacity(size: (usize, usize), rgba: &[u8]) -> Result<Self> {
+        check(size, rgba.len(), 4)?;
+        Ok(Self::of(size, rgba.as_chunks::<4>().0.to_vec()))
+    }
+
+    fn of((height, width): (usize, usize), texels: Vec<[u8; 4]>) -> Self {
         let mut levels = vec![Level { width, height, texels }];
         while let Some(last) = levels.last().filter(|l| l.width > 1 || l.height > 1) {
             let next = last.halved();
             levels.push(next);
         }
-        Ok(Self { levels })
+        Self { levels }
     }
 
     /// Rows and columns of the image.
@@ -55,13 +63,19 @@ impl Texture {
     /// Mean of linear RGB over the image, as far as its smallest level tells.
     #[must_use]
     pub fn mean(&self) -> [f32; 3] {
-        self.levels.last().map_or([0.0; 3], |level| level.texel(0, 0))
+        let [red, green, blue, _] = self.smallest();
+        [red, green, blue]
     }
 
-    /// Linear RGB at `(u, v)` where a pixel to the right changes them by `slopes[0]` and one down by
+    /// The smallest level: linear RGB, and opacity.
+    pub(super) fn smallest(&self) -> [f32; 4] {
+        self.levels.last().map_or([0.0; 4], |level| level.texel(0, 0))
+    }
+
+    /// Linear RGB and opacity at `(u, v)` where a pixel to the right changes them by `slopes[0]` and one down by
     /// `slopes[1]`.
     #[must_use]
-    pub fn sample(&self, uv: [f64; 2], slopes: [[f64; 2]; 2]) -> [f32; 3] {
+    pub fn sample(&self, uv: [f64; 2], slopes: [[f64; 2]; 2]) -> [f32; 4] {
         let (height, width) = self.size();
         let sides = [width as f64, height as f64];
         let texels = slopes.map(|slope| [slope[0] * sides[0], slope[1] * sides[1]]);
@@ -74,7 +88,7 @@ impl Texture {
         let shorter = shorter.max(longer / LONGEST).max(1.0);
         let steps = (longer / shorter).ceil().max(1.0);
         let level = shorter.log2();
-        let mut sum = [0.0_f32; 3];
+        let mut sum = [0.0_f32; 4];
         for k in 0..steps as usize {
             let along = (k as f64 + 0.5) / steps - 0.5;
             let place = [0, 1].map(|c| uv[c] + along * slopes[long][c]);
@@ -84,7 +98,7 @@ impl Texture {
         sum.map(|c| c / steps as f32)
     }
 
-    fn trilinear(&self, uv: [f64; 2], level: f64) -> [f32; 3] {
+    fn trilinear(&self, uv: [f64; 2], level: f64) -> [f32; 4] {
         let last = self.levels.len() - 1;
         let level = level.clamp(0.0, last as f64);
         let fine = level.floor();
@@ -94,22 +108,23 @@ impl Texture {
             return near;
         }
         let far = self.levels[k + 1].bilinear(uv);
-        [0, 1, 2].map(|c| near[c] + part * (far[c] - near[c]))
+        [0, 1, 2, 3].map(|c| near[c] + part * (far[c] - near[c]))
     }
 }
 
 impl Level {
-    fn texel(&self, x: usize, y: usize) -> [f32; 3] {
-        let [r, g, b, _] = self.texels[y * self.width + x];
-        [r, g, b].map(srgb::decode)
+    fn texel(&self, x: usize, y: usize) -> [f32; 4] {
+        let [r, g, b, opacity] = self.texels[y * self.width + x];
+        let [r, g, b] = [r, g, b].map(srgb::decode);
+        [r, g, b, f32::from(opacity) / 255.0]
     }
 
     /// The mean of the four texels around a place.
-    fn bilinear(&self, [u, v]: [f64; 2]) -> [f32; 3] {
+    fn bilinear(&self, [u, v]: [f64; 2]) -> [f32; 4] {
         let (x, y) = (around(u, self.width), around(1.0 - v, self.height));
         let [a, b, c, d] =
             [(x.0, y.0), (x.1, y.0), (x.0, y.1), (x.1, y.1)].map(|(x, y)| self.texel(x, y));
-        [0, 1, 2].map(|k| {
+        [0, 1, 2, 3].map(|k| {
             let (upper, lower) = (a[k] + x.2 * (b[k] - a[k]), c[k] + x.2 * (d[k] - c[k]));
             upper + y.2 * (lower - upper)
         })
@@ -122,7 +137,7 @@ impl Level {
         let mut texels = Vec::with_capacity(width * height);
         for y in 0..height {
             for x in 0..width {
-                let (mut sum, mut count) = ([0.0_f32; 3], 0.0);
+                let (mut sum, mut count) = ([0.0_f32; 4], 0.0);
                 for j in span(y, height, self.height) {
                     for i in span(x, width, self.width) {
                         let colour = self.texel(i, j);
@@ -130,12 +145,26 @@ impl Level {
                         count += 1.0;
                     }
                 }
-                let [r, g, b] = sum.map(|c| srgb::encode(c / count));
-                texels.push([r, g, b, 255]);
+                let [r, g, b, opacity] = sum.map(|c| c / count);
+                let [r, g, b] = [r, g, b].map(srgb::encode);
+                texels.push([r, g, b, (255.0 * opacity).round() as u8]);
             }
         }
         Self { width, height, texels }
     }
+}
+
+/// Refuses sizes and lengths that do not fit.
+fn check((height, width): (usize, usize), length: usize, channels: usize) -> Result<()> {
+    let refuse = |message: String| Err(Error::argument("texture", message));
+    if !(1..=16_384).contains(&height) || !(1..=16_384).contains(&width) {
+        return refuse(format!("{height} x {width} pixels; expected sides of 1 to 16384"));
+    }
+    let expected = channels * height * width;
+    if length != expected {
+        return refuse(format!("{length} bytes, expected {expected}"));
+    }
+    Ok(())
 }
 
 /// The two texels on both sides of a coordinate along a side that repeats, and the share of the
@@ -172,18 +201,18 @@ mod tests {
         let rgb = [255, 0, 0, 0, 255, 0, 0, 0, 255, 255, 255, 255];
         let texture = Texture::new((2, 2), &rgb).unwrap();
         let at = |u, v| texture.sample([u, v], [[0.0; 2]; 2]);
-        assert_eq!(at(0.25, 0.75), [1.0, 0.0, 0.0]); // the first row is the upper one
-        assert_eq!(at(0.75, 0.75), [0.0, 1.0, 0.0]);
-        assert_eq!(at(0.25, 0.25), [0.0, 0.0, 1.0]);
+        assert_eq!(at(0.25, 0.75), [1.0, 0.0, 0.0, 1.0]); // the first row is the upper one
+        assert_eq!(at(0.75, 0.75), [0.0, 1.0, 0.0, 1.0]);
+        assert_eq!(at(0.25, 0.25), [0.0, 0.0, 1.0, 1.0]);
         assert_eq!(at(-0.25, 5.25), at(0.75, 0.25)); // repeats
-        assert_eq!(at(0.5, 0.5), [0.5, 0.5, 0.5]);
+        assert_eq!(at(0.5, 0.5), [0.5, 0.5, 0.5, 1.0]);
     }
 
     #[test]
     fn a_footprint_over_many_texels_is_their_mean() {
         let texture = checks(64);
         let wide = texture.sample([0.3, 0.6], [[0.5, 0.0], [0.0, 0.5]]);
-        assert!(wide.iter().all(|c| (c - 0.5).abs() < 0.01), "{wide:?}");
+        assert!(wide[..3].iter().all(|c| (c - 0.5).abs() < 0.01), "{wide:?}");
         let mean = texture.mean();
         assert!(mean.iter().all(|c| (c - 0.5).abs() < 0.01), "{mean:?}");
     }
@@ -198,6 +227,19 @@ mod tests {
         assert!(white[0] > 0.9, "{white:?}");
         let both = texture.sample([0.5, 0.5], [[0.0, 4.0 / 64.0], [1.0 / 64.0, 0.0]]);
         assert!((both[0] - 0.5).abs() < 0.1, "{both:?}");
+    }
+
+    #[test]
+    fn opacity_is_interpolated_and_halved_as_it_is() {
+        let rgba = [255, 0, 0, 0, 255, 0, 0, 255, 255, 0, 0, 51, 255, 0, 0, 51];
+        let texture = Texture::with_opacity((2, 2), &rgba).unwrap();
+        let at = |u, v| texture.sample([u, v], [[0.0; 2]; 2]);
+        assert_eq!(at(0.25, 0.75), [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(at(0.75, 0.75)[3], 1.0);
+        assert!((at(0.5, 0.75)[3] - 0.5).abs() < 1e-6);
+        let far = texture.sample([0.5, 0.5], [[9.0, 0.0], [0.0, 9.0]]);
+        assert!((far[3] - 0.35).abs() < 2e-3 && far[0] == 1.0, "{far:?}");
+        assert!(Texture::with_opacity((2, 2), &rgba[..12]).is_err());
     }
 
     #[test]
