@@ -307,7 +307,8 @@ def colours(
     veil: NDArray[float32],
 ) -> None:
     """Write ``(B, H, W, 4)``: linear RGB times coverage and opacity, and coverage; shares of the
-    meshes; and the share that shows what is behind."""
+    meshes; and the share that shows what is behind.
+    """
 
 def srgb_bytes(linear: NDArray[float32]) -> NDArray[uint8]:
     """Bytes of linear values in sRGB, flat."""
