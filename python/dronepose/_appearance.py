@@ -27,8 +27,8 @@ class Texture:
     OBJ and COLLADA files (glTF counts ``v`` from the top), and repeat.
 
     Args:
-        image: ``(H, W, 3)`` uint8, sRGB, the upper row first; or ``(H, W, 4)``, the last is opacity,
-            255 hides what is behind. Colours are not multiplied by it.
+        image: ``(H, W, 3)`` uint8, sRGB, the upper row first; or ``(H, W, 4)``, the last is
+            opacity, 255 hides what is behind. Colours are not multiplied by it.
 
     Raises:
         ValueError: Another shape or dtype, or a side above 16384.

@@ -306,9 +306,7 @@ def colours(
     shares: NDArray[float32],
     veil: NDArray[float32],
 ) -> None:
-    """Write ``(B, H, W, 4)``: linear RGB times coverage and opacity, and coverage; shares of the
-    meshes; and the share that shows what is behind.
-    """
+    """Write RGB and coverage ``(B, H, W, 4)``, shares of the meshes, and the veil."""
 
 def srgb_bytes(linear: NDArray[float32]) -> NDArray[uint8]:
     """Bytes of linear values in sRGB, flat."""
