@@ -1,20 +1,36 @@
 """Files that are written whole or not at all.
 
 What is written goes to a hidden file in the same folder, which then takes the name that was asked
-for: a reader, and the next run after a kill, sees the file before or the file after.
+for: a reader, and the next run after a kill, sees the file before or the file after. The hidden
+name says which process writes it, so that :func:`sweep` can tell what a kill has left.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
+import platform
+import re
+import secrets
+import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["beside", "write_bytes", "write_text"]
+__all__ = ["beside", "sweep", "write_bytes", "write_text"]
+
+_RUN = secrets.token_hex(4)  # a process may have the number of one that is gone
+_COUNT = itertools.count()
+_HOST = re.sub(r"[^0-9A-Za-z-]+", "-", platform.node())[:32] or "-"
+_PART = re.compile(
+    r"\.(?P<stem>.+)\.(?P<host>[0-9A-Za-z-]+)\.(?P<process>\d+)\.(?P<run>[0-9a-f]{8})-\d+\.part"
+    r"(\.[^.]*)?"
+)
+_LONG_S = 3600.0
+"""After so long nobody is still writing a file, on whatever machine."""
 
 
 @contextmanager
@@ -25,7 +41,7 @@ def beside(target: Path) -> Iterator[Path]:
         target: The file; its folder exists.
 
     Yields:
-        A hidden name with the suffix of ``target``, of this process alone.
+        A hidden name with the suffix of ``target``, of this call alone.
 
     Raises:
         OSError: Nothing was written, or it cannot take the place of ``target``.
@@ -39,12 +55,68 @@ def beside(target: Path) -> Iterator[Path]:
         ...     [path.name for path in Path(folder).iterdir()]
         ['a.txt']
     """
-    part = target.with_name(f".{target.stem}.{os.getpid()}.part{target.suffix}")
+    writer = f"{_HOST}.{os.getpid()}.{_RUN}-{next(_COUNT)}"
+    part = target.with_name(f".{target.stem}.{writer}.part{target.suffix}")
     try:
         yield part
         part.replace(target)
     finally:
         part.unlink(missing_ok=True)
+
+
+def sweep(folder: Path, also: Callable[[str], bool] | None = None) -> int:
+    """Remove what killed processes have left in a folder of files that :func:`beside` writes.
+
+    Left are hidden files of a process of this machine that is gone, and of any machine if they are
+    older than an hour. Folders below are not looked at.
+
+    Args:
+        folder: The folder; nothing is done if it is not there.
+        also: Is asked with the stem of the file that was to be written; what it affirms is removed
+            whoever wrote it.
+
+    Returns:
+        How many were removed.
+
+    Raises:
+        OSError: One cannot be removed.
+    """
+    count = 0
+    try:
+        entries = os.scandir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return 0
+    with entries:
+        for entry in entries:
+            match = _PART.fullmatch(entry.name)
+            if match is None:
+                continue
+            try:
+                if (also is not None and also(match["stem"])) or _is_left(entry, match):
+                    os.unlink(entry.path)  # noqa: PTH108 - an entry is no Path
+                    count += 1
+            except FileNotFoundError:
+                continue  # it has taken its place, or another run sweeps too
+    return count
+
+
+def _is_left(entry: os.DirEntry[str], match: re.Match[str]) -> bool:
+    if match["host"] == _HOST and not _writes(int(match["process"]), match["run"]):
+        return True
+    return time.time() - entry.stat().st_mtime > _LONG_S
+
+
+def _writes(process: int, run: str) -> bool:
+    """Whether a process of this machine is there that may be writing."""
+    if process == os.getpid():
+        return run == _RUN
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True  # of somebody else
+    return True
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from dronepose.commands._running import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,18 +33,11 @@ def main(argv: Sequence[str]) -> int:
         >>> main(["check", "examples/quadrotor.obj"])  # doctest: +SKIP
         0
     """
-    try:
-        args = _parser().parse_args(list(argv))
-    except SystemExit as end:
-        return int(end.code or 0)
-    try:
-        found: dict[str, Any] = args.run(args)
-    except (ImportError, OSError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stopped; nothing was written", file=sys.stderr)
-        return 130
+    return run(_parser(), argv, _work)
+
+
+def _work(args: argparse.Namespace) -> int:
+    found: dict[str, Any] = args.run(args)
     text = found.pop("text")
     print(json.dumps(found, indent=2) if args.json else text)
     return 0
@@ -124,12 +118,12 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name, text, run in (
+    for name, text, work in (
         ("check", "say what a file holds", _check),
         ("simplify", "write it with fewer faces (quadric edge collapse)", _simplify),
     ):
         made = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        made.set_defaults(run=run)
+        made.set_defaults(run=work)
         made.add_argument(
             "file", type=Path, metavar="FILE", help="OBJ, PLY, STL; others by trimesh"
         )

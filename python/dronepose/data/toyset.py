@@ -16,7 +16,6 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -443,40 +442,3 @@ def _all_there(root: Path, counts: dict[str, int]) -> bool:
         for split, count in counts.items()
         for number in range(count)
     )
-
-
-class Progress:
-    """A line on a stream that shows itself after two seconds.
-
-    Args:
-        stream: Where it is written, such as ``sys.stderr``.
-
-    Example:
-        >>> import sys
-        >>> Progress(sys.stderr)(1, 100)
-    """
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-        self._begin = self._last = time.monotonic()
-        self._shown = False
-
-    def __call__(self, done: int, total: int) -> None:
-        """Say that ``done`` of ``total`` are there."""
-        now = time.monotonic()
-        if now - self._begin >= 2 and (now - self._last >= 0.2 or done == total):
-            self._last, self._shown = now, True
-            left = (now - self._begin) / max(done, 1) * (total - done)
-            self._stream.write(f"\r{done}/{total} samples, {left:.0f} s left   ")
-            self._stream.flush()
-
-    def close(self) -> None:
-        """End the line, if there is one.
-
-        Example:
-            >>> import sys
-            >>> Progress(sys.stderr).close()
-        """
-        if self._shown:
-            self._stream.write("\n")
-            self._shown = False

@@ -6,8 +6,9 @@ import csv
 import io
 import json
 import platform
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,15 +25,19 @@ from dronepose.synth.encode import (
     encode_normal,
     png,
 )
+from dronepose.synth.layout import flight_file, image_file, record_file, scene_file
+from dronepose.synth.resuming import room, rows_there, tidy
+from dronepose.synth.running import by_threads
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
     from dronepose.camera import Camera
     from dronepose.render import Environment, Flow
+    from dronepose.synth.cluster import Cluster
     from dronepose.synth.plan import PlanTable
     from dronepose.synth.studio import Frame, Studio
 
@@ -215,6 +220,7 @@ def write_dataset(
     inputs: Mapping[str, Any] | None = None,
     shard: tuple[int, int] = (0, 1),
     workers: int = 1,
+    cluster: Cluster | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Render a plan into a data set, or what is missing of it.
@@ -239,7 +245,9 @@ def write_dataset(
         shard: ``(k, n)`` renders every n-th row from the k-th on; the shard that finds all records
             there finishes the data set.
         workers: Threads that render a row each; the studio's own threads are beside these.
-        progress: Called with the number of rows of the shard that are done, and of all of them.
+        cluster: Whose workers render in place of this process.
+        progress: Called with the number of rows of the shard that are done, and of all of them;
+            first with what is there at the beginning.
 
     Returns:
         The manifest, with ``"written"``: rows that this call rendered.
@@ -247,7 +255,7 @@ def write_dataset(
     Raises:
         SynthError: The folder holds a data set of other settings, the scene is in another split,
             or a name cannot be part of a file's name.
-        OSError: A file cannot be written.
+        OSError: A file cannot be written; of a full disk the message says how many rows are done.
 
     Example:
         >>> made = write_dataset("set", plan, studio, cameras, building="hall")  # doctest: +SKIP
@@ -275,49 +283,69 @@ def write_dataset(
         "inputs": json.loads(json.dumps(dict(inputs or {}))),
         "plan": plan.manifest,
     }
-    _begin(root, building, facts)
-    records = root / "records" / building
     own = range(k, len(plan), n)
-    missing = [row for row in own if not (records / f"{row:06d}.json").exists()]
+    with room(root, building, own):
+        _begin(root, building, facts)
+        tidy(root, facts)
+        there = rows_there(root, building)
+        missing = [row for row in own if row not in there]
 
-    def work(row: int) -> None:
-        sample = render_sample(studio, plan, row, cameras, environments or {}, settings)
-        for (view, modality, step), content in sample.files.items():
-            name = f"{row}_{date}_{step}_{modality}_{view}_0.png"
-            write_bytes(root / drone / view / modality / building / name, content)
-        write_text(records / f"{row:06d}.json", json.dumps(sample.facts) + "\n")
+        def work(row: int) -> int:
+            write_row(root, facts, studio, plan, row, cameras, environments or {}, settings)
+            return 1
 
-    for count in _each(work, missing, workers):
-        if progress is not None:
-            progress(len(own) - len(missing) + count, len(own))
-    done = [records / f"{row:06d}.json" for row in range(len(plan))]
-    complete = all(path.exists() for path in done)
-    if complete:
-        kept = [json.loads(path.read_text(encoding="utf-8")) for path in done]
-        facts = _finish(root, facts, kept, plan)
+        if cluster is not None and missing:
+            counts = cluster.render(root, facts, cameras, settings, missing)
+        else:
+            counts = by_threads(work, missing, workers)
+        done = len(own) - len(missing)
+        with closing(counts):  # at an error, too, nothing is left running
+            for count in chain((0,), counts):
+                done += count
+                if progress is not None:
+                    progress(done, len(own))
+        if cluster is not None:
+            tidy(root, facts, missing)
+        complete = rows_there(root, building).issuperset(range(len(plan)))
+        if complete:
+            facts = _finish(root, facts, plan)
     return {**facts, "complete": complete, "written": len(missing)}
 
 
-def _each(work: Callable[[int], None], rows: list[int], workers: int) -> Iterator[int]:
-    """Work on every row, by several threads; how many are done. The first error ends it."""
-    if workers <= 1:
-        for count, row in enumerate(rows, 1):
-            work(row)
-            yield count
-        return
-    pool = ThreadPoolExecutor(workers)
-    try:
-        futures = [pool.submit(work, row) for row in rows]
-        for count, future in enumerate(as_completed(futures), 1):
-            future.result()
-            yield count
-    finally:
-        pool.shutdown(cancel_futures=True)
+def write_row(
+    root: Path,
+    facts: Mapping[str, Any],
+    studio: Studio,
+    plan: PlanTable,
+    row: int,
+    cameras: tuple[Camera, Camera],
+    environments: Mapping[str, Environment],
+    settings: RenderSettings,
+) -> None:
+    """Render a row and write its images, and at last its record, with which it is done.
+
+    Args:
+        root: The data set.
+        facts: Of the scene: ``building``, ``drone`` and ``date``.
+        studio: As for :func:`render_sample`, and so are all that follow.
+        plan: The poses.
+        row: Which, from 0.
+        cameras: The exocentric and the egocentric camera.
+        environments: Panoramas by name.
+        settings: Light and rules.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    sample = render_sample(studio, plan, row, cameras, environments, settings)
+    for (view, modality, step), content in sample.files.items():
+        write_bytes(image_file(root, facts, row, step, view, modality), content)
+    write_text(record_file(root, facts["building"], row), json.dumps(sample.facts) + "\n")
 
 
 def _begin(root: Path, building: str, facts: dict[str, Any]) -> None:
     """Make sure that what is there is of the same settings, and the scene of no other split."""
-    path = root / "scenes" / f"{building}.json"
+    path = scene_file(root, building)
     if path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
         for key, value in facts.items():
@@ -329,41 +357,48 @@ def _begin(root: Path, building: str, facts: dict[str, Any]) -> None:
     write_text(path, json.dumps({**facts, "complete": False}, indent=1) + "\n")
 
 
-def _finish(
-    root: Path, facts: dict[str, Any], records: list[dict[str, Any]], plan: PlanTable
-) -> dict[str, Any]:
+def versions() -> dict[str, str]:
+    """Of what the bits of the pictures depend on."""
+    return {
+        "dronepose": _native.__version__,
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _finish(root: Path, facts: dict[str, Any], plan: PlanTable) -> dict[str, Any]:
     """The flight's file, the lists of scenes and the manifest, once all rows are rendered."""
-    building, date = facts["building"], facts["date"]
+    building, count = facts["building"], len(plan)
     table = io.StringIO()
-    writer = csv.DictWriter(table, list(records[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    write_text(root / "scenes" / f"{building}.csv", table.getvalue())
-    flight = root / "trajectories" / building / date / "poses_blender.txt"
-    write_text(flight, _flight_text(plan))
-    removed = [record["removed_by"] for record in records]
-    left = len(records) - removed.count("hidden")
+    writer, kept, removed = None, 0, dict.fromkeys(("hidden", "invalid"), 0)
+    for row in range(count):
+        record = json.loads(record_file(root, building, row).read_text(encoding="utf-8"))
+        if writer is None:
+            writer = csv.DictWriter(table, list(record), lineterminator="\n")
+            writer.writeheader()
+        writer.writerow(record)
+        kept += record["kept"]
+        if record["removed_by"]:
+            removed[record["removed_by"]] += 1
+    write_text(scene_file(root, building, ".csv"), table.getvalue())
+    write_text(flight_file(root, facts), _flight_text(plan))
     steps = [
-        {"rule": "hidden", "came": len(records), "removed": removed.count("hidden")},
-        {"rule": "invalid", "came": left, "removed": removed.count("invalid")},
+        {"rule": "hidden", "came": count, "removed": removed["hidden"]},
+        {"rule": "invalid", "came": count - removed["hidden"], "removed": removed["invalid"]},
     ]
     facts = {
         "format": FORMAT,
         "complete": True,
         **facts,
-        "kept": sum(record["kept"] for record in records),
+        "kept": kept,
         "rendered_rules": steps,
         "encodings": ENCODINGS,
-        "versions": {
-            "dronepose": _native.__version__,
-            "numpy": np.__version__,
-            "opencv": cv2.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": versions(),
     }
-    path = root / "scenes" / f"{building}.json"
     held = {key: value for key, value in facts.items() if key != "format"}
-    write_text(path, json.dumps({**held, "complete": True}, indent=1) + "\n")
+    text = json.dumps({**held, "complete": True}, indent=1) + "\n"
+    write_text(scene_file(root, building), text)
     _lists(root)
     write_text(root / "dataset.json", json.dumps(facts, indent=1) + "\n")
     return facts

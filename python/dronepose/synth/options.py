@@ -228,6 +228,8 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add("--samples", type=int, default=3, metavar="N", help="points along a pixel's side [3]")
     add("--workers", type=int, default=0, metavar="N", help="rows at a time [one a core]")
     add("--shard", default="0/1", metavar="K/N", help="every N-th row from the K-th on [0/1]")
+    text = "scheduler of a running Dask cluster, or its file: its workers render"
+    add("--dask", metavar="ADDRESS", help=text)
 
 
 def add_fly_options(parser: argparse.ArgumentParser) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,10 +14,10 @@ from dronepose.geometry import matrix_from_quat_xyzw
 from dronepose.mesh import Mesh
 from dronepose.synth.dataset import SynthError
 from dronepose.synth.encode import read_png
+from dronepose.synth.layout import MODALITIES, flight_file, image_file, record_file
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
@@ -32,14 +30,7 @@ __all__ = [
     "drone_mesh",
     "read_lines",
     "read_scenes",
-    "ticker",
 ]
-
-MODALITIES = {
-    "exocentric": ("colour", "depth", "normal_map", "flow", "silhouette", "matte", "instance"),
-    "egocentric": ("colour", "depth", "normal_map", "flow"),
-}
-"""What a kept sample has of each view, at both times."""
 
 _END = b"IEND\xaeB`\x82"
 _OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0])
@@ -88,13 +79,11 @@ class SceneFolder:
     @property
     def flight(self) -> Path:
         """The file of the poses."""
-        place = self.root / "trajectories" / self.building / str(self.facts["date"])
-        return place / "poses_blender.txt"
+        return flight_file(self.root, self.facts)
 
     def file(self, row: int, step: int, view: str, modality: str) -> Path:
         """An image of a sample."""
-        name = f"{row}_{self.facts['date']}_{step}_{modality}_{view}_0.png"
-        return self.root / str(self.facts["drone"]) / view / modality / self.building / name
+        return image_file(self.root, self.facts, row, step, view, modality)
 
     def files(self, row: int) -> list[Path]:
         """All images of a kept sample."""
@@ -131,7 +120,7 @@ class SceneFolder:
             SynthError: One is no JSON, or lacks its row or whether it was kept.
         """
         found = []
-        for path in sorted((self.root / "records" / self.building).glob("*.json")):
+        for path in sorted(record_file(self.root, self.building, 0).parent.glob("*.json")):
             record = _json(path)
             if not isinstance(record.get("row"), int) or record.get("kept") not in (0, 1):
                 raise SynthError(f"{path}: expected row, a whole number, and kept, 0 or 1")
@@ -289,23 +278,3 @@ def drone_mesh(scenes: list[SceneFolder], file: str | None) -> tuple[Mesh | None
         mesh = load_asset(path, metres_per_unit=unit).mesh
     same = hashlib.sha256(path.read_bytes()).hexdigest() == facts.get("sha256")
     return mesh, f"{path.name}, {'the file' if same else 'NOT the file'} that was rendered"
-
-
-def ticker(what: str) -> Callable[[int, int], None]:
-    """A function that is called with the number done and of all, and says it from two seconds on.
-
-    Args:
-        what: What is counted.
-    """
-    begin = time.monotonic()
-    last = begin
-
-    def tick(done: int, total: int) -> None:
-        nonlocal last
-        now, here = time.monotonic(), sys.stderr.isatty()
-        if now - begin > 2 and (now - last > (1 if here else 10) or done == total):
-            last, rate = now, done / (now - begin)
-            text = f"{done}/{total} {what}, {rate:.1f} a second, {(total - done) / rate:.0f} s left"
-            print(text, end="\r" if here and done < total else "\n", file=sys.stderr, flush=True)
-
-    return tick

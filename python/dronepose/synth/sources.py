@@ -1,0 +1,134 @@
+"""The files that a data set is rendered from, by name, so that any process can read them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dronepose.synth.inputs import EXAMPLE, cameras_of, read_drone, read_panoramas, read_scene
+from dronepose.synth.plan import read_plan
+from dronepose.synth.studio import Studio
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from dronepose.camera import Camera
+    from dronepose.render import Environment
+    from dronepose.synth.plan import PlanTable
+
+__all__ = ["Loaded", "Sources"]
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """What :class:`Sources` name, read.
+
+    Args:
+        plan: The poses.
+        cameras: The exocentric and the egocentric camera.
+        studio: The scene and one drone.
+        environments: Panoramas by name.
+        facts: For the manifest: names and SHA-256 of the files, and how they were read.
+    """
+
+    plan: PlanTable
+    cameras: tuple[Camera, Camera]
+    studio: Studio
+    environments: Mapping[str, Environment]
+    facts: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The files that a data set is rendered from, and how they are read.
+
+    Args:
+        plan: ``plan.csv``, with its manifest beside it.
+        scene: Placements (CSV), a mesh, or ``"example"`` for the project's hall.
+        scene_unit: Metres of the unit of a scene's mesh.
+        drone: A mesh, or ``"example"`` for the project's quadrotor.
+        drone_unit: Metres of its unit.
+        drone_texture: An image for all of it.
+        roughness: Of its surface, 0 to 1.
+        metallic: 0 for plastics, 1 for metals.
+        panoramas: A folder; ``None`` is the project's two.
+        samples: Points along a pixel's side for colours, 1 to 8.
+
+    Example:
+        >>> Sources("plan.csv", scene="house.glb").absolute().drone
+        'example'
+    """
+
+    plan: str
+    scene: str = EXAMPLE
+    scene_unit: float = 1.0
+    drone: str = EXAMPLE
+    drone_unit: float = 1.0
+    drone_texture: str | None = None
+    roughness: float = 0.45
+    metallic: float = 0.0
+    panoramas: str | None = None
+    samples: int = 3
+
+    def absolute(self) -> Sources:
+        """The same with paths that hold in any folder.
+
+        Returns:
+            The sources.
+        """
+
+        def whole(path: str) -> str:
+            return path if path == EXAMPLE else os.path.abspath(path)  # noqa: PTH100 - keeps links
+
+        return replace(
+            self,
+            plan=whole(self.plan),
+            scene=whole(self.scene),
+            drone=whole(self.drone),
+            drone_texture=None if self.drone_texture is None else whole(self.drone_texture),
+            panoramas=None if self.panoramas is None else whole(self.panoramas),
+        )
+
+    def load(self, *, threads: int = 0, stage: Callable[[str], None] = lambda text: None) -> Loaded:
+        """Read all of them.
+
+        Args:
+            threads: Of the studio, 0 for one a core.
+            stage: Is told what is read.
+
+        Returns:
+            What they hold.
+
+        Raises:
+            ValueError: A file was refused.
+            OSError: A file cannot be read.
+            ImportError: A package is missing.
+        """
+        stage("reading the plan")
+        plan = read_plan(self.plan)
+        content = Path(self.plan).read_bytes()
+        cameras = cameras_of(plan)
+        stage("reading the scene")
+        scene, scene_facts = read_scene(self.scene, metres_per_unit=self.scene_unit)
+        stage("reading the drone")
+        drone, drone_facts = read_drone(
+            self.drone,
+            metres_per_unit=self.drone_unit,
+            texture=self.drone_texture,
+            roughness=self.roughness,
+            metallic=self.metallic,
+        )
+        stage("preparing the light")
+        environments, light_facts = read_panoramas(self.panoramas)
+        facts = {
+            "plan": {"file": Path(self.plan).name, "sha256": hashlib.sha256(content).hexdigest()},
+            "scene": scene_facts,
+            "drone": drone_facts,
+            "panoramas": light_facts,
+            "samples": self.samples,
+        }
+        studio = Studio(scene, [drone], samples=self.samples, threads=threads)
+        return Loaded(plan, cameras, studio, environments, facts)
