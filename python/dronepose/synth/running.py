@@ -99,7 +99,7 @@ def on_dask(
             return new
 
         try:
-            done = as_completed(submit(IN_FLIGHT))
+            done = as_completed(submit(IN_FLIGHT), loop=client.loop)
             for future in done:
                 result = future.result()
                 pending.discard(future)
