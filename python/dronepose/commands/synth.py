@@ -61,6 +61,7 @@ examples:
   dronepose synth render house.csv --scene small_house/placements.csv --drone DJI.obj \\
       --panoramas hdri --building house --split train --out data
   dronepose synth render house.csv --scene house.glb --shard 3/16 --out data
+  dronepose synth render house.csv --scene house.glb --dask tcp://head:8786 --out data
 
 The same command goes on where it was stopped. The layout is UAVA's: dronepose train reads it with
 --data.kind uava. Pictures depend on the plan, the inputs and --seed alone.

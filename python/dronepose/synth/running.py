@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import FIRST_COMPLETED, CancelledError, ThreadPoolExecutor, wait
+from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -73,7 +74,7 @@ def on_dask(
         say: Is told how many workers there are.
 
     Raises:
-        ImportError: The package ``distributed`` is missing.
+        ImportError: The package ``distributed`` is missing here, or dronepose on a worker.
         OSError: The scheduler cannot be reached or is gone, or an item's workers died.
         ValueError: The address is none.
         Exception: What ``work`` raises.
@@ -88,6 +89,9 @@ def on_dask(
     if address.endswith(".json"):
         where = {"scheduler_file": address}
     with Client(**where, set_as_default=False) as client:
+        for worker, found in client.run(find_spec, "dronepose").items():
+            if found is None:  # it would die of the first unit, and so would all others
+                raise ImportError(f"{worker}: this worker has no dronepose; install it there too")
         threads = client.nthreads()
         workers = f"{len(threads)} workers with {sum(threads.values())} threads"
         say(f"rendering on {workers}" if threads else f"waiting for workers of {address}")
