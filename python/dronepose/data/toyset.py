@@ -403,6 +403,8 @@ def _manifest(settings: ToySettings, counts: dict[str, int], mesh: bytes) -> dic
 def _begin(root: Path, manifest: dict[str, Any], mesh: bytes) -> None:
     """Make the folder, or make sure that what it holds is of the same settings."""
     path = root / "dataset.json"
+    # Looked at first: another shard may begin between the two, and begins with dataset.json.
+    full = root.exists() and any(not file.name.startswith(".") for file in root.iterdir())
     if path.exists():
         try:
             before = json.loads(path.read_text(encoding="utf-8"))
@@ -414,7 +416,7 @@ def _begin(root: Path, manifest: dict[str, Any], mesh: bytes) -> None:
                     f"{path}: holds a data set of other {key}: {before.get(key)}, "
                     f"asked for {manifest.get(key)}; choose another folder, or remove this one"
                 )
-    elif root.exists() and any(not file.name.startswith(".") for file in root.iterdir()):
+    elif full:
         raise DataError(f"{root}: is not empty and holds no data set; choose another folder")
     root.mkdir(parents=True, exist_ok=True)
     if not path.exists():
