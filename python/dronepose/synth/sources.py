@@ -78,6 +78,10 @@ class Sources:
 
         Returns:
             The sources.
+
+        Example:
+            >>> Sources("/data/plan.csv").absolute() == Sources("/data/plan.csv")
+            True
         """
 
         def whole(path: str) -> str:
@@ -106,6 +110,11 @@ class Sources:
             ValueError: A file was refused.
             OSError: A file cannot be read.
             ImportError: A package is missing.
+
+        Example:
+            >>> found = Sources("plan.csv", scene="house.glb").load()  # doctest: +SKIP
+            >>> found.facts["scene"]["file"]  # doctest: +SKIP
+            'house.glb'
         """
         stage("reading the plan")
         plan = read_plan(self.plan)
