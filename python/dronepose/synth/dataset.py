@@ -16,7 +16,7 @@ import numpy as np
 
 from dronepose import _native
 from dronepose._files import write_bytes, write_text
-from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose.geometry import matrix_from_axis_angle, quat_wxyz_from_matrix
 from dronepose.synth.encode import (
     ENCODINGS,
     encode_depth,
@@ -138,7 +138,7 @@ def render_sample(
     light: dict[str, Any] = {
         "environment": None if which is None else environments[which],
         "strength": float(strength),
-        "world_from_panorama": _about_up(float(turn)),
+        "world_from_panorama": matrix_from_axis_angle([0.0, 0.0, turn]),
     }
     drones = ([poses["drone"]], [poses["drone_next"]])
     exo = [studio.frame(cameras[0], poses["exo"], drone, **light) for drone in drones]
@@ -192,12 +192,6 @@ def _pictures(frame: Frame, flow: Flow, *, drone: bool) -> dict[str, Any]:
 def _pose(plan: PlanTable, name: Any, row: int) -> Pose:
     R, t = plan.pose(name, slice(row, row + 1))
     return R[0], t[0]
-
-
-def _about_up(angle: float) -> Array:
-    """Rotation about the world's z axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def write_dataset(
