@@ -485,7 +485,8 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
     export.add_argument("--format", required=True, choices=("bop", "webdataset"), help="which")
     export.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
-    export.add_argument("--mesh", metavar="FILE", help="bop: the drone's [the example drone's]")
+    text = "bop: the drone's, of several in their order [the example drone's]"
+    export.add_argument("--mesh", nargs="+", metavar="FILE", help=text)
     export.add_argument(
         "--shard-size", type=_count, metavar="N", help="webdataset: samples a file [500]"
     )

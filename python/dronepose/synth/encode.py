@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEPTH_SCALE",
+    "DRONE_ID",
     "ENCODINGS",
     "decode_depth",
     "decode_flow",
@@ -27,6 +28,9 @@ __all__ = [
 
 DEPTH_SCALE = 0.5e-3
 """Metres of a step of a depth image: 16 bits reach 32.7 m."""
+
+DRONE_ID = 2
+"""Of the first drone in an image of instances; those of further drones follow."""
 
 ENCODINGS = {
     "colour": "PNG, 8 bits, sRGB",

@@ -210,6 +210,14 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add("--drone-name", metavar="NAME", help="folder of the drone [the file's name]")
     add("--roughness", type=float, default=0.45, metavar="R", help="of the drone, 0 to 1 [0.45]")
     add("--metallic", type=float, default=0.0, metavar="M", help="of the drone, 0 to 1 [0]")
+    add("--more-drones", nargs="+", default=(), metavar="FILE", help="meshes of further drones")
+    text = "metres of their units, one each or one for all [1]"
+    add("--more-units", type=float, nargs="+", default=(), metavar="M", help=text)
+    text = "where their x, y, z point, one each or one for all [as the plan's]"
+    add("--more-axes", nargs="+", default=(), metavar="FLU", help=text)
+    text = "one each, - for none [none]"
+    add("--more-textures", nargs="+", default=(), metavar="IMAGE", help=text)
+    add("--apart", type=float, default=0.6, metavar="M", help="of two drones, metres [0.6]")
     add("--panoramas", metavar="DIR", help="light: .hdr, or images [two made by dronepose]")
     add("--building", metavar="NAME", help="name of the scene [the plan's, or the scene's file]")
     add("--split", choices=("train", "val", "test"), help="[the plan's, or train]")

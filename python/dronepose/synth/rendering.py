@@ -10,7 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dronepose.synth.dataset import RenderSettings, SynthError, write_dataset
-from dronepose.synth.inputs import cameras_of, read_drone, read_panoramas, read_scene
+from dronepose.synth.inputs import (
+    cameras_of,
+    read_drone,
+    read_more_drones,
+    read_panoramas,
+    read_scene,
+)
 from dronepose.synth.plan import read_plan
 from dronepose.synth.studio import Studio
 
@@ -39,6 +45,7 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         strength=tuple(args.strength),
         least_seen=args.seen,
         most_hole=args.hole,
+        apart_m=args.apart,
     )
     if not 1 <= args.samples <= 8:
         raise SynthError(f"--samples: expected 1 to 8, got {args.samples}")
@@ -55,10 +62,19 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         roughness=args.roughness,
         metallic=args.metallic,
     )
+    further, further_facts = read_more_drones(
+        args.more_drones,
+        model_axes=plan.manifest.get("rules", {}).get("model_axes", "flu"),
+        axes=args.more_axes,
+        metres_per_unit=args.more_units,
+        textures=args.more_textures,
+        roughness=args.roughness,
+        metallic=args.metallic,
+    )
     stage("preparing the light")
     environments, light_facts = read_panoramas(args.panoramas)
     workers = args.workers or _cores()
-    studio = Studio(scene, [drone], samples=args.samples, threads=1 if workers > 1 else 0)
+    studio = Studio(scene, [drone, *further], samples=args.samples, threads=1 if workers > 1 else 0)
     building = args.building or plan.manifest.get("scene") or _name(args.scene)
     stage("rendering")
     begin, last, before = time.monotonic(), 0.0, -1
@@ -87,7 +103,8 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         environments=environments,
         settings=settings,
         inputs={"scene": scene_facts, "drone": drone_facts, "panoramas": light_facts,
-                "samples": args.samples},
+                "samples": args.samples,
+                **({"more_drones": further_facts} if further else {})},
         shard=(int(match[1]), int(match[2])),
         workers=workers,
         progress=progress,
