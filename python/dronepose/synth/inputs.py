@@ -14,6 +14,7 @@ from dronepose.render import Environment
 from dronepose.synth._settings import axes as checked_axes
 from dronepose.synth._settings import flu_from_axes
 from dronepose.synth.asset import Asset, AssetError, load_asset, load_placements, merged
+from dronepose.synth.exr import read_exr
 from dronepose.synth.rooms import example_hall
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ EXAMPLE = "example"
 MOST_DRONES = 100
 """Further drones: their numbers are in images of 8 bits."""
 
-_PANORAMAS = (".hdr", ".png", ".jpg", ".jpeg")
+_PANORAMAS = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
 
 
 def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[str, Any]]:
@@ -193,8 +194,8 @@ def read_panoramas(
     """The panoramas of a folder by name, or two halls of light of our own.
 
     Args:
-        folder: Holds ``.hdr`` (Radiance), or 8-bit images in sRGB, twice as wide as high; one file
-            is one panorama; ``None`` is :func:`example_light`.
+        folder: Holds ``.hdr`` (Radiance), ``.exr`` (OpenEXR), or 8-bit images in sRGB, twice as
+            wide as high; one file is one panorama; ``None`` is :func:`example_light`.
         threads: Number of threads, 0 for one a core.
 
     Returns:
@@ -203,6 +204,7 @@ def read_panoramas(
     Raises:
         AssetError: A file cannot be read, or there is none.
         FileNotFoundError: There is no such folder.
+        ImportError: A file is EXR, and the package OpenEXR is missing.
 
     Example:
         >>> sorted(read_panoramas(None)[0])
@@ -228,6 +230,14 @@ def read_panoramas(
 
 
 def _radiance(path: Path) -> NDArray[np.float32]:
+    rgb = read_exr(path) if path.suffix.lower() == ".exr" else _decoded(path)
+    if not np.isfinite(rgb).all() or rgb.min() < 0:
+        raise AssetError(f"{path}: holds a radiance that is negative or not finite")
+    return np.ascontiguousarray(rgb)
+
+
+def _decoded(path: Path) -> NDArray[np.float32]:
+    """What OpenCV reads, as linear RGB."""
     import cv2
 
     content = np.frombuffer(path.read_bytes(), np.uint8)
@@ -238,9 +248,7 @@ def _radiance(path: Path) -> NDArray[np.float32]:
     if image.dtype == np.uint8:
         x = rgb / 255
         rgb = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    if not np.isfinite(rgb).all() or rgb.min() < 0:
-        raise AssetError(f"{path}: holds a radiance that is negative or not finite")
-    return np.ascontiguousarray(rgb)
+    return rgb
 
 
 def example_light(kind: str = "warm") -> Environment:

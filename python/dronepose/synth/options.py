@@ -218,7 +218,7 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     text = "one each, - for none [none]"
     add("--more-textures", nargs="+", default=(), metavar="IMAGE", help=text)
     add("--apart", type=float, default=0.6, metavar="M", help="of two drones, metres [0.6]")
-    add("--panoramas", metavar="DIR", help="light: .hdr, or images [two made by dronepose]")
+    add("--panoramas", metavar="DIR", help="light: .hdr, .exr, or images [two made by dronepose]")
     add("--building", metavar="NAME", help="name of the scene [the plan's, or the scene's file]")
     add("--split", choices=("train", "val", "test"), help="[the plan's, or train]")
     add("--date", default="flight", metavar="NAME", help="name of the flight [flight]")
