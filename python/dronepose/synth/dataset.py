@@ -347,12 +347,19 @@ def _begin(root: Path, building: str, facts: dict[str, Any]) -> None:
     if path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
         for key, value in facts.items():
-            if before.get(key) != json.loads(json.dumps(value)):
+            if _compared(before.get(key)) != _compared(json.loads(json.dumps(value))):
                 raise SynthError(
                     f"{path}: was rendered with another {key}; choose another folder, or remove it"
                 )
         return
     write_text(path, json.dumps({**facts, "complete": False}, indent=1) + "\n")
+
+
+def _compared(value: Any) -> Any:
+    """A part of the manifest without the licences, which may be stated later."""
+    if not isinstance(value, dict):
+        return value
+    return {key: of for key, of in value.items() if key != "licences"}
 
 
 def _finish(

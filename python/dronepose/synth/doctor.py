@@ -15,6 +15,7 @@ from dronepose.synth import _measures as measures
 from dronepose.synth._findings import CHECKS, NEEDS, Finding
 from dronepose.synth.dataset import FORMAT
 from dronepose.synth.encode import DRONE_ID, ENCODINGS, decode_depth, decode_flow, decode_normal
+from dronepose.synth.licences import unlicensed
 from dronepose.synth.others import other_rows
 from dronepose.synth.reading import MODALITIES, SceneFolder, drone_mesh, read_lines, read_scenes
 from dronepose.synth.splits import SPLITS
@@ -190,6 +191,9 @@ def _manifest(root: Path, scenes: list[SceneFolder], finding: Finding) -> None:
         kept = scene.facts.get("kept")
         if kept and scene.building not in _listed(root, scene.split):
             problems.append(f"{root}/data splits/scenes_{scene.split}.txt: lacks {scene.building}")
+    lacking = sorted({name for s in scenes for name in unlicensed(s.facts.get("inputs", {}))})
+    if lacking:
+        finding.note = f"no licence is known of {', '.join(lacking)} (synth render --licence)"
     finding.count(1 + len(scenes), problems)
 
 

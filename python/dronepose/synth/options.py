@@ -219,6 +219,8 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add("--more-textures", nargs="+", default=(), metavar="IMAGE", help=text)
     add("--apart", type=float, default=0.6, metavar="M", help="of two drones, metres [0.6]")
     add("--panoramas", metavar="DIR", help="light: .hdr, .exr, or images [two made by dronepose]")
+    text = "what an input is under, such as scene=CC-BY-4.0 [LICENSE files are looked for]"
+    add("--licence", action="append", default=[], metavar="NAME=ID", help=text)
     add("--building", metavar="NAME", help="name of the scene [the plan's, or the scene's file]")
     add("--split", choices=("train", "val", "test"), help="[the plan's, or train]")
     add("--date", default="flight", metavar="NAME", help="name of the flight [flight]")

@@ -17,6 +17,7 @@ from dronepose.synth.inputs import (
     read_panoramas,
     read_scene,
 )
+from dronepose.synth.licences import input_licences, render_inputs, unlicensed
 from dronepose.synth.plan import read_plan
 from dronepose.synth.studio import Studio
 
@@ -52,6 +53,10 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
     stage("reading the plan")
     plan = read_plan(args.plan)
     cameras = cameras_of(plan)
+    licences = input_licences(render_inputs(args, plan), args.licence)
+    if lacking := unlicensed({"licences": licences}):
+        print(f"no licence is known of {', '.join(lacking)}; --licence NAME=ID states one",
+              file=sys.stderr)  # fmt: skip
     stage("reading the scene")
     scene, scene_facts = read_scene(args.scene, metres_per_unit=args.scene_unit)
     stage("reading the drone")
@@ -103,7 +108,7 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         environments=environments,
         settings=settings,
         inputs={"scene": scene_facts, "drone": drone_facts, "panoramas": light_facts,
-                "samples": args.samples,
+                "samples": args.samples, "licences": licences,
                 **({"more_drones": further_facts} if further else {})},
         shard=(int(match[1]), int(match[2])),
         workers=workers,
