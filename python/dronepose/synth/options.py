@@ -256,3 +256,19 @@ def add_fly_options(parser: argparse.ArgumentParser) -> None:
     add("--clearance", type=float, default=0.4, metavar="M", help="to walls, metres [0.4]")
     add("--variance", type=float, default=0.3, metavar="X", help="the pilot's, 0 to 1 [0.3]")
     add("--seed", type=int, default=0, metavar="S", help="of the flight [0]")
+
+
+def add_table_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``dronepose synth table``.
+
+    Args:
+        parser: The parser.
+    """
+    add = parser.add_argument
+    add("data", type=Path, metavar="DATA", help="folder of the data set")
+    add("--name", metavar="TEXT", help="head of its column [the folder's name]")
+    text = "such as Indoor, which no file says [unknown]"
+    add("--environment", default="unknown", metavar="TEXT", help=text)
+    text = "such as photorealistic, as the paper calls renderings of scans [synthetic]"
+    add("--data-type", default="synthetic", metavar="TEXT", help=text)
+    add("--latex", action="store_true", help="LaTeX in place of Markdown")
