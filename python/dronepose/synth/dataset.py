@@ -94,6 +94,15 @@ class RenderSettings:
     def facts(self, drones: int = 1) -> dict[str, Any]:
         """For the manifest: what matters for so many drones.
 
+        Args:
+            drones: In a picture, at most.
+
+        Returns:
+            The settings by name; ``apart_m`` where there are several drones.
+
+        Raises:
+            Nothing.
+
         Example:
             >>> "apart_m" in RenderSettings().facts(), RenderSettings().facts(2)["apart_m"]
             (False, 0.6)

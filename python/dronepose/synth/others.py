@@ -63,10 +63,9 @@ def choose_others(
         >>> camera = Camera(**plan.manifest["cameras"]["exo"])
         >>> drone = Mesh.from_file("examples/quadrotor.obj")
         >>> (other,) = choose_others(plan, 0, camera, [drone, drone], apart_m=0.4)
-        >>> abs(plan["drone_tx"][other] - plan["drone_tx"][0]) >= 0.4
+        >>> bool(abs(plan["drone_tx"][other] - plan["drone_tx"][0]) >= 0.4)
         True
     """
-    flown = _flown(plan)
     R, t = (x[0] for x in plan.pose("exo", slice(row, row + 1)))
     taken: list[int] = [row]
     places: list[Array] = []
@@ -74,7 +73,7 @@ def choose_others(
     for k, mesh in enumerate(drones):
         low, high = mesh.bounds
         middle, reach = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-        at = np.stack([np.einsum("nij,j->ni", turn, middle) + place for turn, place in flown])
+        at = _flown(plan, tuple(middle.tolist()))
         if k == 0:
             places.append(at[:, row])
             continue
@@ -94,10 +93,11 @@ def choose_others(
     return found
 
 
-@lru_cache(maxsize=1)
-def _flown(plan: PlanTable) -> tuple[tuple[Array, Array], ...]:
-    """``world_from_model`` of every row at t and at t + 1."""
-    return plan.pose("drone"), plan.pose("drone_next")
+@lru_cache(maxsize=64)
+def _flown(plan: PlanTable, middle: tuple[float, float, float]) -> Array:
+    """Where a point of the model is in the world: ``(2, N, 3)``, at t and at t + 1 of each row."""
+    poses = plan.pose("drone"), plan.pose("drone_next")
+    return np.stack([np.einsum("nij,j->ni", R, middle) + t for R, t in poses])
 
 
 def _in_view(camera: Camera, points: Array, reach: float) -> NDArray[np.bool_]:
