@@ -15,6 +15,7 @@ from dronepose.camera import Camera  # noqa: E402
 from dronepose.data.toyset import EXAMPLE_MESH  # noqa: E402
 from dronepose.mesh import Mesh, obj_text  # noqa: E402
 from dronepose.render import gbuffer  # noqa: E402
+from dronepose.synth import make_plan, read_anchors, read_flight, write_example  # noqa: E402
 from dronepose.synth.asset import Asset  # noqa: E402
 from dronepose.synth.dataset import RenderSettings, SynthError  # noqa: E402
 from dronepose.synth.doctor import check_dataset  # noqa: E402
@@ -22,6 +23,7 @@ from dronepose.synth.encode import DRONE_ID, decode_depth, read_png  # noqa: E40
 from dronepose.synth.export import export_bop  # noqa: E402
 from dronepose.synth.inputs import cameras_of, read_more_drones  # noqa: E402
 from dronepose.synth.others import choose_others, other_rows  # noqa: E402
+from dronepose.synth.plan import PlanTable  # noqa: E402
 from dronepose.synth.reading import drone_meshes, read_scenes  # noqa: E402
 from dronepose.synth.shards import export_webdataset  # noqa: E402
 from dronepose.synth.studio import DRONE, SCENE, Studio  # noqa: E402
@@ -70,18 +72,18 @@ def files(root):
 # ------------------------------------------------------------------------------ where
 
 
-def fitting(table, camera, meshes, row, rows, k, apart):
+def fitting(poses, camera, meshes, row, rows, k, apart):
     """The rows that may be drone ``k``, one after the other."""
     middle = [mesh.bounds.mean(axis=0) for mesh in meshes]
 
     def at(drone, source, name):
-        R, t = (x[source] for x in table.pose(name))
-        return R @ middle[drone] + t
+        R, t = poses[name]
+        return R[source] @ middle[drone] + t[source]
 
     placed = [(0, row), *((j, r) for j, r in enumerate(rows[: k - 1], 1) if r is not None)]
-    R, t = (x[row] for x in table.pose("exo"))
+    R, t = (x[row] for x in poses["exo"])
     found = []
-    for source in range(len(table)):
+    for source in range(len(poses["exo"][1])):
         good = source not in [r for _, r in placed]
         for name in ("drone", "drone_next"):
             p = at(k, source, name)
@@ -94,26 +96,32 @@ def fitting(table, camera, meshes, row, rows, k, apart):
     return found
 
 
-def test_others_are_drawn_from_the_rows_that_fit(made, more):
-    table = made[1]
+@pytest.mark.parametrize("apart", [0.5, 1.5])
+def test_others_are_drawn_from_the_rows_that_fit(tmp_path, more, apart):
+    paths = write_example(tmp_path)
+    plan = make_plan(read_flight(paths["flight"]), read_anchors(paths["anchors"]))
+    table = plan.table()
+    poses = {name: table.pose(name) for name in ("exo", "drone", "drone_next")}
     camera = cameras_of(table)[0]
     meshes = [Mesh.from_file(EXAMPLE_MESH), *(drone.mesh for drone in read_more_drones(**more)[0])]
-    seen = set()
-    for row in range(ROWS):
-        draws = [
-            choose_others(table, row, camera, meshes, seed=seed, apart_m=APART)
-            for seed in range(30)
-        ]
-        assert draws[3] == choose_others(table, row, camera, meshes, seed=3, apart_m=APART)
-        for draw in draws:
-            assert len(draw) == 2
+
+    meshes[2] = Mesh(8 * meshes[2].vertices, meshes[2].faces)  # too large to be near
+    sizes, near = [], 0
+    for row in range(0, len(table), 100):
+        for seed in (0, 7):
+            draw = choose_others(table, row, camera, meshes, seed=seed, apart_m=apart)
             for k in (1, 2):
-                fit = fitting(table, camera, meshes, row, draw, k, APART)
-                assert draw[k - 1] in fit if fit else draw[k - 1] is None
-        first = fitting(table, camera, meshes, row, [None, None], 1, APART)
-        assert {draw[0] for draw in draws} <= ({*first} or {None})
-        seen.add(len(first) > 1 and len({draw[0] for draw in draws}) > 1)
-    assert seen == {True, False}
+                fit = fitting(poses, camera, meshes, row, draw, k, apart)
+                place = np.random.default_rng([seed, row, k]).integers(len(fit)) if fit else 0
+                assert draw[k - 1] == (fit[place] if fit else None)
+                sizes.append(len(fit))
+        near += len(fitting(poses, camera, meshes, row, [], 1, 0)) - sizes[-2]
+    assert near > 50  # some are too near
+    assert max(sizes) > 50
+    few = PlanTable(
+        table.ids[:2], table.anchors[:2], {n: c[:2] for n, c in table.columns.items()}, {}
+    )
+    assert choose_others(few, 0, camera, meshes[:1] * 3, apart_m=0) == [1, None]
     assert choose_others(table, 0, camera, meshes, apart_m=1e3) == [None, None]
     assert choose_others(table, 0, camera, meshes[:1]) == []
     with pytest.raises(ValueError, match="apart_m"):
