@@ -75,7 +75,7 @@ def _simplify(args: argparse.Namespace) -> dict[str, Any]:
     import numpy as np
 
     from dronepose._files import write_text
-    from dronepose.mesh import Mesh
+    from dronepose.mesh import Mesh, obj_text
 
     try:
         import fast_simplification  # type: ignore[import-untyped,unused-ignore]
@@ -95,10 +95,8 @@ def _simplify(args: argparse.Namespace) -> dict[str, Any]:
         points, faces = fast_simplification.simplify(
             points.astype(np.float32), faces.astype(np.int32), target_count=args.faces
         )
-    lines = [f"# {Path(args.file).name}, {before} faces made {len(faces)}; metres"]
-    lines += ["v " + " ".join(f"{float(x):.9g}" for x in v) for v in points]
-    lines += ["f " + " ".join(str(int(i) + 1) for i in f) for f in faces]
-    write_text(args.out, "\n".join(lines) + "\n")
+    note = f"{Path(args.file).name}, {before} faces made {len(faces)}; metres"
+    write_text(args.out, obj_text(points, faces, note))
     low, high = mesh.bounds
     shift = float(
         max(np.abs(points.min(axis=0) - low).max(), np.abs(points.max(axis=0) - high).max())

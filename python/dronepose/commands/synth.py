@@ -89,6 +89,14 @@ examples:
 Writes all kept samples, both times, into a new folder: bop has the exocentric view, in millimetres,
 webdataset has tar files with all images of both views. The folder is there when all of it is.
 """
+TABLE = """\
+examples:
+  dronepose synth table demo/data
+  dronepose synth table data --environment Indoor --data-type photorealistic --latex
+
+Prints the columns of the paper's table of data sets for what was made, beside those of the paper.
+All but the two options is counted in the folder.
+"""
 REPORT = """\
 example:
   dronepose synth report demo/plan.csv --out demo
@@ -385,6 +393,19 @@ def _export(args: argparse.Namespace, stage: Stages) -> int:
     return 0
 
 
+def _table(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth.table import data_table
+
+    stage("counting")
+    made = data_table(
+        args.data, name=args.name, environment=args.environment, data_type=args.data_type
+    )
+    text = made.latex() if args.latex else made.markdown()
+    print(json.dumps({**made.facts, "column": made.values}, indent=2) if args.json else text,
+          end="\n" if args.json else "")  # fmt: skip
+    return 0
+
+
 def _example(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import write_example
 
@@ -445,9 +466,13 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
     export.add_argument("--format", required=True, choices=("bop", "webdataset"), help="which")
     export.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
-    export.add_argument("--mesh", metavar="FILE", help="bop: the drone's [the example drone's]")
+    text = "bop: the drone's, of several in their order [the example drone's]"
+    export.add_argument("--mesh", nargs="+", metavar="FILE", help=text)
     export.add_argument(
         "--shard-size", type=_count, metavar="N", help="webdataset: samples a file [500]"
+    )
+    options.add_table_options(
+        command("table", "compare a rendered data set with the paper's", TABLE, _table)
     )
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from dronepose.synth.dataset import RenderSettings, SynthError, versions, write_row
 from dronepose.synth.layout import record_file
+from dronepose.synth.resuming import difference
 from dronepose.synth.running import on_dask
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class Cluster:
     Args:
         address: Of the scheduler, such as ``tcp://host:8786``, or its file (``.json``).
         sources: The files of the plan and the studio; the manifest's ``inputs`` have to be the
-            ``facts`` of what :meth:`Sources.load` gives.
+            ``facts`` of what :meth:`Sources.load` gives, but for licences.
         rows: Rows of the plan in a unit of work.
         say: Is told how many workers there are.
 
@@ -156,23 +157,14 @@ def render_unit(order: _Order, rows: Sequence[int]) -> int:
 def _loaded(sources: Sources, inputs: str) -> Loaded:
     """The inputs, once a process, if they are those of the manifest."""
     loaded = sources.load(threads=1)
-    differs = _difference(json.loads(inputs), json.loads(json.dumps(loaded.facts)))
+    differs = difference(json.loads(inputs), json.loads(json.dumps(loaded.facts)))
     if differs is not None:
-        (name, *inner), wanted, found = differs
-        file = getattr(sources, name, None)
+        names, wanted, found = differs
+        file = getattr(sources, names[0], None)
+        if isinstance(file, tuple):
+            file = file[int(names[1])] if len(names) > 1 else ", ".join(file)
         raise SynthError(
-            f"{file}: is not what the command has read: {'.'.join([name, *inner])} is {found}, "
+            f"{file}: is not what the command has read: {'.'.join(names)} is {found}, "
             f"expected {wanted}"
         )
     return loaded
-
-
-def _difference(wanted: Any, found: Any) -> tuple[list[str], Any, Any] | None:
-    """Where two trees of JSON differ first: the names that lead there, and both values."""
-    if not (isinstance(wanted, dict) and isinstance(found, dict)):
-        return None if wanted == found else ([], wanted, found)
-    for name in sorted({*wanted, *found}):
-        inner = _difference(wanted.get(name), found.get(name))
-        if inner is not None:
-            return [name, *inner[0]], inner[1], inner[2]
-    return None

@@ -17,7 +17,7 @@ import numpy as np
 
 from dronepose import _native
 from dronepose._files import write_bytes, write_text
-from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose.geometry import matrix_from_axis_angle, quat_wxyz_from_matrix
 from dronepose.synth.encode import (
     ENCODINGS,
     encode_depth,
@@ -26,7 +26,8 @@ from dronepose.synth.encode import (
     png,
 )
 from dronepose.synth.layout import flight_file, image_file, record_file, scene_file
-from dronepose.synth.resuming import room, rows_there, tidy
+from dronepose.synth.others import choose_others, others_facts
+from dronepose.synth.resuming import difference, room, rows_there, tidy
 from dronepose.synth.running import by_threads
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ class RenderSettings:
             must not hide, 0 to 1.
         most_hole: Rule *invalid*: share of an image in which the scan may have holes, 0 to 1.
         least_pixels: Rule *hidden*: area of the drone in each exocentric image, pixels.
+        apart_m: Least distance of two drones where there are several, metres.
 
     Raises:
         ValueError: A value is out of its range; the message starts with its name.
@@ -80,6 +82,7 @@ class RenderSettings:
     least_seen: float = 0.5
     most_hole: float = 0.05
     least_pixels: float = 100.0
+    apart_m: float = 0.6
 
     def __post_init__(self) -> None:
         low, high = self.strength
@@ -90,6 +93,27 @@ class RenderSettings:
                 raise ValueError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
         if self.seed < 0 or not 0 <= self.least_pixels < 1e9:
             raise ValueError("seed, least_pixels: expected numbers >= 0")
+        if not 0 <= self.apart_m < 1e6:
+            raise ValueError(f"apart_m: expected metres >= 0, got {self.apart_m}")
+
+    def facts(self, drones: int = 1) -> dict[str, Any]:
+        """For the manifest: what matters for so many drones.
+
+        Args:
+            drones: In a picture, at most.
+
+        Returns:
+            The settings by name; ``apart_m`` where there are several drones.
+
+        Raises:
+            Nothing.
+
+        Example:
+            >>> "apart_m" in RenderSettings().facts(), RenderSettings().facts(2)["apart_m"]
+            (False, 0.6)
+        """
+        found: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return {key: value for key, value in found.items() if drones > 1 or key != "apart_m"}
 
 
 @dataclass(slots=True)
@@ -116,7 +140,8 @@ def render_sample(
     """Render one row: both cameras, both times, and the flow between them both ways.
 
     Args:
-        studio: The scene and one drone.
+        studio: The scene and the drone; further drones are at poses of other rows, as
+            :func:`dronepose.synth.others.choose_others` finds them.
         plan: The poses.
         row: Which, from 0.
         cameras: The exocentric and the egocentric camera.
@@ -143,9 +168,19 @@ def render_sample(
     light: dict[str, Any] = {
         "environment": None if which is None else environments[which],
         "strength": float(strength),
-        "world_from_panorama": _about_up(float(turn)),
+        "world_from_panorama": matrix_from_axis_angle([0.0, 0.0, turn]),
     }
-    drones = ([poses["drone"]], [poses["drone_next"]])
+    others: list[int | None] = []
+    if len(studio.drones) > 1:
+        meshes = [drone.mesh for drone in studio.drones]
+        others = choose_others(
+            plan, row, cameras[0], meshes, seed=settings.seed, apart_m=settings.apart_m
+        )
+    further = [
+        [None if k is None else _pose(plan, name, k) for k in others]
+        for name in ("drone", "drone_next")
+    ]
+    drones = ([poses["drone"], *further[0]], [poses["drone_next"], *further[1]])
     exo = [studio.frame(cameras[0], poses["exo"], drone, **light) for drone in drones]
     facts: dict[str, Any] = {
         "row": row,
@@ -158,16 +193,21 @@ def render_sample(
         "hole": max(frame.hole for frame in exo),
         "kept": 0,
         "removed_by": "",
+        **others_facts(others, exo),
     }
     if facts["seen"] < settings.least_seen or facts["area_px"] < settings.least_pixels:
         return Sample({}, {**facts, "removed_by": "hidden"})
-    ego = [studio.frame(cameras[1], poses[name]) for name in ("ego", "ego_next")]
+    beside: list[list[Pose | None]] = [[None, *places] if others else [] for places in further]
+    ego = [
+        studio.frame(cameras[1], poses[name], places, **(light if others else {}))
+        for name, places in zip(("ego", "ego_next"), beside, strict=True)
+    ]
     facts["hole"] = max(facts["hole"], *(frame.hole for frame in ego))
     if facts["hole"] > settings.most_hole:
         return Sample({}, {**facts, "removed_by": "invalid"})
-    moments: dict[str, list[tuple[Pose, list[Pose]]]] = {
-        "exocentric": [(poses["exo"], drone) for drone in drones],
-        "egocentric": [(poses["ego"], []), (poses["ego_next"], [])],
+    moments: dict[str, list[tuple[Pose, list[Pose | None]]]] = {
+        "exocentric": [(poses["exo"], places) for places in drones],
+        "egocentric": [(poses["ego"], beside[0]), (poses["ego_next"], beside[1])],
     }
     files = {}
     for (view, moment), camera, frames in zip(moments.items(), cameras, (exo, ego), strict=True):
@@ -199,12 +239,6 @@ def _pose(plan: PlanTable, name: Any, row: int) -> Pose:
     return R[0], t[0]
 
 
-def _about_up(angle: float) -> Array:
-    """Rotation about the world's z axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def write_dataset(
     root: str | os.PathLike[str],
     plan: PlanTable,
@@ -233,7 +267,7 @@ def write_dataset(
     Args:
         root: The folder, in the layout of :class:`dronepose.data.UavaDataset`.
         plan: The poses, of one flight in one scene.
-        studio: The scene and one drone.
+        studio: The scene and the drone, and perhaps further ones.
         cameras: The exocentric and the egocentric camera.
         building: Name of the scene; no underscores or slashes.
         drone: Name of the drone.
@@ -277,11 +311,12 @@ def write_dataset(
         "date": date,
         "split": split,
         "rows": len(plan),
-        "settings": json.loads(json.dumps(asdict(settings))),
+        "settings": settings.facts(len(studio.drones)),
         "cameras": {"exocentric": asdict(cameras[0]), "egocentric": asdict(cameras[1])},
         "environments": sorted(environments or {}),
         "inputs": json.loads(json.dumps(dict(inputs or {}))),
         "plan": plan.manifest,
+        **({"drones": len(studio.drones)} if len(studio.drones) > 1 else {}),
     }
     own = range(k, len(plan), n)
     with room(root, building, own):
@@ -348,11 +383,12 @@ def _begin(root: Path, building: str, facts: dict[str, Any]) -> None:
     path = scene_file(root, building)
     if path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
-        for key, value in facts.items():
-            if before.get(key) != json.loads(json.dumps(value)):
-                raise SynthError(
-                    f"{path}: was rendered with another {key}; choose another folder, or remove it"
-                )
+        differs = difference({key: before.get(key) for key in facts}, json.loads(json.dumps(facts)))
+        if differs is not None:
+            name = ".".join(differs[0])
+            raise SynthError(
+                f"{path}: was rendered with another {name}; choose another folder, or remove it"
+            )
         return
     write_text(path, json.dumps({**facts, "complete": False}, indent=1) + "\n")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dronepose._progress import Progress
 from dronepose.synth.cluster import Cluster
 from dronepose.synth.dataset import RenderSettings, SynthError, write_dataset
+from dronepose.synth.licences import unlicensed
 from dronepose.synth.sources import Sources
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         strength=tuple(args.strength),
         least_seen=args.seen,
         most_hole=args.hole,
+        apart_m=args.apart,
     )
     if not 1 <= args.samples <= 8:
         raise SynthError(f"--samples: expected 1 to 8, got {args.samples}")
@@ -45,8 +48,12 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         raise SynthError("--dask, --workers: expected one of the two")
     workers = args.workers or _cores()
     given = {part.name: getattr(args, part.name) for part in fields(Sources)}
-    sources = Sources(**{**given, "plan": str(args.plan)})
+    lists = {name: tuple(of) for name, of in given.items() if isinstance(of, list)}
+    sources = Sources(**{**given, **lists, "plan": str(args.plan)})
     loaded = sources.load(threads=1 if workers > 1 else 0, stage=stage)
+    if lacking := unlicensed(loaded.facts):
+        print(f"no licence is known of {', '.join(lacking)}; --licence NAME=ID states one",
+              file=sys.stderr)  # fmt: skip
     building = args.building or loaded.plan.manifest.get("scene") or _name(args.scene)
     stage("rendering")
     progress = Progress("rows")

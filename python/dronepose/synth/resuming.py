@@ -14,7 +14,37 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
     from pathlib import Path
 
-__all__ = ["room", "rows_there", "tidy"]
+__all__ = ["difference", "room", "rows_there", "tidy"]
+
+_LATER = "licences"
+"""What may be stated later, on whatever level of a manifest."""
+
+
+def difference(wanted: Any, found: Any) -> tuple[list[str], Any, Any] | None:
+    """Where two trees of JSON differ first, licences aside.
+
+    Args:
+        wanted: One.
+        found: The other.
+
+    Returns:
+        The names and places in lists that lead there, and both values; ``None`` if they are equal.
+
+    Example:
+        >>> difference({"a": [1, {"b": 2}]}, {"a": [1, {"b": 3}], "licences": {}})
+        (['a', '1', 'b'], 2, 3)
+    """
+    if isinstance(wanted, list) and isinstance(found, list) and len(wanted) == len(found):
+        wanted, found = (
+            dict(zip(map(str, range(len(of))), of, strict=True)) for of in (wanted, found)
+        )
+    if not (isinstance(wanted, dict) and isinstance(found, dict)):
+        return None if wanted == found else ([], wanted, found)
+    for name in [*wanted, *(name for name in found if name not in wanted)]:
+        inner = difference(wanted.get(name), found.get(name)) if name != _LATER else None
+        if inner is not None:
+            return [name, *inner[0]], inner[1], inner[2]
+    return None
 
 
 def rows_there(root: Path, building: str) -> set[int]:

@@ -8,7 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dronepose.synth.inputs import EXAMPLE, cameras_of, read_drone, read_panoramas, read_scene
+from dronepose.synth.inputs import (
+    EXAMPLE,
+    NO_TEXTURE,
+    cameras_of,
+    read_drone,
+    read_more_drones,
+    read_panoramas,
+    read_scene,
+)
+from dronepose.synth.licences import input_licences, render_inputs
 from dronepose.synth.plan import read_plan
 from dronepose.synth.studio import Studio
 
@@ -29,9 +38,10 @@ class Loaded:
     Args:
         plan: The poses.
         cameras: The exocentric and the egocentric camera.
-        studio: The scene and one drone.
+        studio: The scene and the drone, and perhaps further ones.
         environments: Panoramas by name.
-        facts: For the manifest: names and SHA-256 of the files, and how they were read.
+        facts: For the manifest: names and SHA-256 of the files, how they were read, and their
+            licences.
     """
 
     plan: PlanTable
@@ -54,8 +64,13 @@ class Sources:
         drone_texture: An image for all of it.
         roughness: Of its surface, 0 to 1.
         metallic: 0 for plastics, 1 for metals.
+        more_drones: Meshes of further drones, or ``"example"``.
+        more_units: Metres of their units, one each or one for all; none: 1.
+        more_axes: Where their x, y, z point, one each or one for all; none: as the plan's.
+        more_textures: An image for each, ``-`` for none; or none at all.
         panoramas: A folder; ``None`` is the project's two.
         samples: Points along a pixel's side for colours, 1 to 8.
+        licence: What inputs are under, ``NAME=ID`` each, where files beside them do not say it.
 
     Example:
         >>> Sources("plan.csv", scene="house.glb").absolute().drone
@@ -70,8 +85,13 @@ class Sources:
     drone_texture: str | None = None
     roughness: float = 0.45
     metallic: float = 0.0
+    more_drones: tuple[str, ...] = ()
+    more_units: tuple[float, ...] = ()
+    more_axes: tuple[str, ...] = ()
+    more_textures: tuple[str, ...] = ()
     panoramas: str | None = None
     samples: int = 3
+    licence: tuple[str, ...] = ()
 
     def absolute(self) -> Sources:
         """The same with paths that hold in any folder.
@@ -85,7 +105,8 @@ class Sources:
         """
 
         def whole(path: str) -> str:
-            return path if path == EXAMPLE else os.path.abspath(path)  # noqa: PTH100 - keeps links
+            named = path in (EXAMPLE, NO_TEXTURE)
+            return path if named else os.path.abspath(path)  # noqa: PTH100 - keeps links
 
         return replace(
             self,
@@ -93,6 +114,8 @@ class Sources:
             scene=whole(self.scene),
             drone=whole(self.drone),
             drone_texture=None if self.drone_texture is None else whole(self.drone_texture),
+            more_drones=tuple(map(whole, self.more_drones)),
+            more_textures=tuple(map(whole, self.more_textures)),
             panoramas=None if self.panoramas is None else whole(self.panoramas),
         )
 
@@ -120,6 +143,7 @@ class Sources:
         plan = read_plan(self.plan)
         content = Path(self.plan).read_bytes()
         cameras = cameras_of(plan)
+        licences = input_licences(render_inputs(self, plan), self.licence)
         stage("reading the scene")
         scene, scene_facts = read_scene(self.scene, metres_per_unit=self.scene_unit)
         stage("reading the drone")
@@ -127,6 +151,15 @@ class Sources:
             self.drone,
             metres_per_unit=self.drone_unit,
             texture=self.drone_texture,
+            roughness=self.roughness,
+            metallic=self.metallic,
+        )
+        further, further_facts = read_more_drones(
+            self.more_drones,
+            model_axes=plan.manifest.get("rules", {}).get("model_axes", "flu"),
+            axes=self.more_axes,
+            metres_per_unit=self.more_units,
+            textures=self.more_textures,
             roughness=self.roughness,
             metallic=self.metallic,
         )
@@ -138,6 +171,8 @@ class Sources:
             "drone": drone_facts,
             "panoramas": light_facts,
             "samples": self.samples,
+            "licences": licences,
+            **({"more_drones": further_facts} if further else {}),
         }
-        studio = Studio(scene, [drone], samples=self.samples, threads=threads)
+        studio = Studio(scene, [drone, *further], samples=self.samples, threads=threads)
         return Loaded(plan, cameras, studio, environments, facts)
