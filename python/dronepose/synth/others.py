@@ -71,17 +71,15 @@ def choose_others(
     places: list[Array] = []
     found: list[int | None] = []
     for k, mesh in enumerate(drones):
-        low, high = mesh.bounds
-        middle, reach = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-        at = _flown(plan, tuple(middle.tolist()))
+        at, reach = _flown(plan, mesh)
         if k == 0:
-            places.append(at[:, row])
+            places.append(at[:, :, row])
             continue
-        fits = _in_view(camera, np.einsum("ij,snj->sni", R, at) + t, reach)
-        for place in places:
-            fits &= (np.linalg.norm(at - place[:, None], axis=-1) >= apart_m).all(axis=0)
-        fits[taken] = False
-        rows = np.flatnonzero(fits)
+        rows = _in_view(camera, (R, t), at, reach)
+        for place, before in zip(places, taken, strict=True):
+            for points, other in zip(at, place, strict=True):
+                rows = rows[_distance(points[:, rows], other) >= apart_m]
+            rows = rows[rows != before]
         if not len(rows):
             found.append(None)
             continue
@@ -89,24 +87,42 @@ def choose_others(
         chosen = int(rows[generator.integers(len(rows))])
         found.append(chosen)
         taken.append(chosen)
-        places.append(at[:, chosen])
+        places.append(at[:, :, chosen])
     return found
 
 
 @lru_cache(maxsize=64)
-def _flown(plan: PlanTable, middle: tuple[float, float, float]) -> Array:
-    """Where a point of the model is in the world: ``(2, N, 3)``, at t and at t + 1 of each row."""
-    poses = plan.pose("drone"), plan.pose("drone_next")
-    return np.stack([np.einsum("nij,j->ni", R, middle) + t for R, t in poses])
+def _flown(plan: PlanTable, mesh: Mesh) -> tuple[Array, float]:
+    """The middle of a drone's box at t and at t + 1 of each row, ``(2, 3, N)``; half its diagonal."""
+    low, high = mesh.bounds
+    middle, poses = (low + high) / 2, (plan.pose("drone"), plan.pose("drone_next"))
+    at = np.stack([np.einsum("nij,j->in", R, middle) + t.T for R, t in poses])
+    return at, float(np.linalg.norm(high - low)) / 2
 
 
-def _in_view(camera: Camera, points: Array, reach: float) -> NDArray[np.bool_]:
-    """Where points, ``(2, N, 3)`` in the camera's frame, are in the image both times."""
-    front = points[..., 2] > NEAR + reach
-    seen = np.einsum("ij,snj->sni", camera.K, points)
-    u, v = (seen[..., k] / np.where(front, points[..., 2], 1.0) for k in (0, 1))
-    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    return np.asarray(inside.all(axis=0))
+def _in_view(
+    camera: Camera, cam_from_world: tuple[Array, Array], at: Array, reach: float
+) -> NDArray[np.intp]:
+    """The rows where points, ``(2, 3, N)`` in the world, are in the image both times."""
+    (R, t), K = cam_from_world, camera.K
+    ahead = [_times(R[2], points) + t[2] > NEAR + reach for points in at]
+    rows = np.flatnonzero(ahead[0] & ahead[1])
+    for points in at:
+        seen = [_times(R[k], points[:, rows]) + t[k] for k in range(3)]
+        u, v = (_times(K[k], seen) / seen[2] for k in (0, 1))
+        rows = rows[(u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)]
+    return rows
+
+
+def _times(row: Array, columns: Sequence[Array] | Array) -> Array:
+    """A row of a matrix times many vectors, in a fixed order of sums."""
+    return np.asarray(row[0] * columns[0] + row[1] * columns[1] + row[2] * columns[2])
+
+
+def _distance(points: Array, place: Array) -> Array:
+    """Of points, ``(3, N)``, from one."""
+    x, y, z = points - place[:, None]
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def others_facts(rows: Sequence[int | None], frames: Sequence[Frame]) -> dict[str, Any]:
