@@ -17,7 +17,7 @@ from dronepose.mesh import Mesh, obj_text  # noqa: E402
 from dronepose.render import gbuffer  # noqa: E402
 from dronepose.synth import make_plan, read_anchors, read_flight, write_example  # noqa: E402
 from dronepose.synth.asset import Asset  # noqa: E402
-from dronepose.synth.dataset import RenderSettings, SynthError  # noqa: E402
+from dronepose.synth.dataset import SynthError  # noqa: E402
 from dronepose.synth.doctor import check_dataset  # noqa: E402
 from dronepose.synth.encode import DRONE_ID, decode_depth, read_png  # noqa: E402
 from dronepose.synth.export import export_bop  # noqa: E402
@@ -25,6 +25,7 @@ from dronepose.synth.inputs import cameras_of, read_more_drones  # noqa: E402
 from dronepose.synth.others import choose_others, other_rows  # noqa: E402
 from dronepose.synth.plan import PlanTable  # noqa: E402
 from dronepose.synth.reading import drone_meshes, read_scenes  # noqa: E402
+from dronepose.synth.sample import RenderSettings  # noqa: E402
 from dronepose.synth.shards import export_webdataset  # noqa: E402
 from dronepose.synth.studio import DRONE, SCENE, Studio  # noqa: E402
 from synth_set import kept_rows, write_tiny  # noqa: E402

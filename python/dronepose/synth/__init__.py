@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from dronepose.synth.anchors import Anchors, read_anchors, sample_free_space
     from dronepose.synth.asset import Asset, AssetError, load_asset, load_placements, merged
     from dronepose.synth.cluster import Cluster
-    from dronepose.synth.dataset import RenderSettings, SynthError, render_sample, write_dataset
+    from dronepose.synth.dataset import SynthError, write_dataset
     from dronepose.synth.example import write_example
     from dronepose.synth.flight import (
         Flight,
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from dronepose.synth.report import draw_map, draw_poses
     from dronepose.synth.rooms import example_hall
     from dronepose.synth.rules import Funnel, FunnelStep, Rules
+    from dronepose.synth.sample import RenderSettings, render_sample
     from dronepose.synth.sheet import draw_sheet
     from dronepose.synth.sources import Loaded, Sources
     from dronepose.synth.splits import SceneSplits, check_splits, read_splits
@@ -108,7 +109,7 @@ _HOME = {
     "Placement": "flight",
     "Plan": "plan",
     "PlanTable": "plan",
-    "RenderSettings": "dataset",
+    "RenderSettings": "sample",
     "Rules": "rules",
     "SceneSplits": "splits",
     "Sources": "sources",
@@ -131,7 +132,7 @@ _HOME = {
     "read_flight": "flight",
     "read_plan": "plan",
     "read_splits": "splits",
-    "render_sample": "dataset",
+    "render_sample": "sample",
     "sample_free_space": "anchors",
     "write_dataset": "dataset",
     "write_example": "example",

@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dronepose.synth.dataset import RenderSettings, SynthError, versions, write_row
+from dronepose.synth.dataset import SynthError, versions, write_row
 from dronepose.synth.layout import record_file
 from dronepose.synth.resuming import difference
 from dronepose.synth.running import on_dask
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
 
     from dronepose.camera import Camera
+    from dronepose.synth.sample import RenderSettings
     from dronepose.synth.sources import Loaded, Sources
 
 __all__ = ["Cluster"]

@@ -7,7 +7,7 @@ import io
 import json
 import platform
 from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,18 +17,19 @@ import numpy as np
 
 from dronepose import _native
 from dronepose._files import write_bytes, write_text
-from dronepose.geometry import matrix_from_axis_angle, quat_wxyz_from_matrix
-from dronepose.synth.encode import (
-    ENCODINGS,
-    encode_depth,
-    encode_flow,
-    encode_normal,
-    png,
+from dronepose.geometry import quat_wxyz_from_matrix
+from dronepose.synth.encode import ENCODINGS
+from dronepose.synth.layout import (
+    flight_file,
+    image_file,
+    record_file,
+    scene_file,
+    scene_files,
+    split_file,
 )
-from dronepose.synth.layout import flight_file, image_file, record_file, scene_file
-from dronepose.synth.others import choose_others, others_facts
 from dronepose.synth.resuming import difference, room, rows_there, tidy
 from dronepose.synth.running import by_threads
+from dronepose.synth.sample import RenderSettings, render_sample
 
 if TYPE_CHECKING:
     import os
@@ -37,15 +38,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from dronepose.camera import Camera
-    from dronepose.render import Environment, Flow
+    from dronepose.render import Environment
     from dronepose.synth.cluster import Cluster
     from dronepose.synth.plan import PlanTable
-    from dronepose.synth.studio import Frame, Studio
+    from dronepose.synth.studio import Studio
 
     Array = NDArray[np.float64]
-    Pose = tuple[Array, Array]
 
-__all__ = ["FORMAT", "RenderSettings", "SynthError", "render_sample", "write_dataset"]
+__all__ = ["FORMAT", "SynthError", "versions", "write_dataset", "write_row"]
 
 FORMAT = "dronepose-uava-1"
 _BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -53,190 +53,6 @@ _BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 class SynthError(ValueError):
     """A folder or an argument that does not fit; the message names it."""
-
-
-@dataclass(frozen=True, slots=True)
-class RenderSettings:
-    """How a plan is rendered, and which rules look at the pictures.
-
-    Args:
-        seed: Of the lights. The light of a sample depends on it and on the sample's row alone.
-        strength: Smallest and largest factor of the panorama's light (DronePose, section 3: 0.3 to
-            0.7), uniform.
-        least_seen: Rule *hidden*: share of the drone's area in each exocentric image that the scene
-            must not hide, 0 to 1.
-        most_hole: Rule *invalid*: share of an image in which the scan may have holes, 0 to 1.
-        least_pixels: Rule *hidden*: area of the drone in each exocentric image, pixels.
-        apart_m: Least distance of two drones where there are several, metres.
-
-    Raises:
-        ValueError: A value is out of its range; the message starts with its name.
-
-    Example:
-        >>> RenderSettings().strength
-        (0.3, 0.7)
-    """
-
-    seed: int = 0
-    strength: tuple[float, float] = (0.3, 0.7)
-    least_seen: float = 0.5
-    most_hole: float = 0.05
-    least_pixels: float = 100.0
-    apart_m: float = 0.6
-
-    def __post_init__(self) -> None:
-        low, high = self.strength
-        if not 0 <= low <= high < 1e3:
-            raise ValueError(f"strength: expected 0 <= smallest <= largest, got {self.strength}")
-        for name in ("least_seen", "most_hole"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
-        if self.seed < 0 or not 0 <= self.least_pixels < 1e9:
-            raise ValueError("seed, least_pixels: expected numbers >= 0")
-        if not 0 <= self.apart_m < 1e6:
-            raise ValueError(f"apart_m: expected metres >= 0, got {self.apart_m}")
-
-    def facts(self, drones: int = 1) -> dict[str, Any]:
-        """For the manifest: what matters for so many drones.
-
-        Args:
-            drones: In a picture, at most.
-
-        Returns:
-            The settings by name; ``apart_m`` where there are several drones.
-
-        Raises:
-            Nothing.
-
-        Example:
-            >>> "apart_m" in RenderSettings().facts(), RenderSettings().facts(2)["apart_m"]
-            (False, 0.6)
-        """
-        found: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        return {key: value for key, value in found.items() if drones > 1 or key != "apart_m"}
-
-
-@dataclass(slots=True)
-class Sample:
-    """The pictures of a row of the plan and what the rules say of them.
-
-    Args:
-        files: PNG by ``(view, modality, time step)``.
-        facts: Numbers for ``samples.csv``; ``kept`` is 1 or 0, ``removed_by`` names the rule.
-    """
-
-    files: dict[tuple[str, str, int], bytes] = field(default_factory=dict)
-    facts: dict[str, Any] = field(default_factory=dict)
-
-
-def render_sample(
-    studio: Studio,
-    plan: PlanTable,
-    row: int,
-    cameras: tuple[Camera, Camera],
-    environments: Mapping[str, Environment],
-    settings: RenderSettings,
-) -> Sample:
-    """Render one row: both cameras, both times, and the flow between them both ways.
-
-    Args:
-        studio: The scene and the drone; further drones are at poses of other rows, as
-            :func:`dronepose.synth.others.choose_others` finds them.
-        plan: The poses.
-        row: Which, from 0.
-        cameras: The exocentric and the egocentric camera.
-        environments: Panoramas by name; empty leaves the drone unlit.
-        settings: Light and rules.
-
-    Returns:
-        The pictures; none where a rule removes the sample.
-
-    Raises:
-        ValueError: A pose cannot be drawn.
-
-    Example:
-        >>> sample = render_sample(studio, plan, 0, cameras, {}, RenderSettings())  # doctest: +SKIP
-        >>> sample.facts["kept"]  # doctest: +SKIP
-        1
-    """
-    poses = {name: _pose(plan, name, row) for name in
-             ("exo", "ego", "ego_next", "drone", "drone_next")}  # fmt: skip
-    generator = np.random.default_rng([settings.seed, row])
-    names = sorted(environments)
-    which = names[int(generator.integers(len(names)))] if names else None
-    strength, turn = generator.uniform(*settings.strength), generator.uniform(0, 2 * np.pi)
-    light: dict[str, Any] = {
-        "environment": None if which is None else environments[which],
-        "strength": float(strength),
-        "world_from_panorama": matrix_from_axis_angle([0.0, 0.0, turn]),
-    }
-    others: list[int | None] = []
-    if len(studio.drones) > 1:
-        meshes = [drone.mesh for drone in studio.drones]
-        others = choose_others(
-            plan, row, cameras[0], meshes, seed=settings.seed, apart_m=settings.apart_m
-        )
-    further = [
-        [None if k is None else _pose(plan, name, k) for k in others]
-        for name in ("drone", "drone_next")
-    ]
-    drones = ([poses["drone"], *further[0]], [poses["drone_next"], *further[1]])
-    exo = [studio.frame(cameras[0], poses["exo"], drone, **light) for drone in drones]
-    facts: dict[str, Any] = {
-        "row": row,
-        "id": plan.ids[row],
-        "environment": which or "",
-        "strength": float(strength),
-        "panorama_rad": float(turn),
-        "seen": min(frame.seen for frame in exo),
-        "area_px": min(float(frame.silhouette.sum(dtype=np.float64)) for frame in exo),
-        "hole": max(frame.hole for frame in exo),
-        "kept": 0,
-        "removed_by": "",
-        **others_facts(others, exo),
-    }
-    if facts["seen"] < settings.least_seen or facts["area_px"] < settings.least_pixels:
-        return Sample({}, {**facts, "removed_by": "hidden"})
-    beside: list[list[Pose | None]] = [[None, *places] if others else [] for places in further]
-    ego = [
-        studio.frame(cameras[1], poses[name], places, **(light if others else {}))
-        for name, places in zip(("ego", "ego_next"), beside, strict=True)
-    ]
-    facts["hole"] = max(facts["hole"], *(frame.hole for frame in ego))
-    if facts["hole"] > settings.most_hole:
-        return Sample({}, {**facts, "removed_by": "invalid"})
-    moments: dict[str, list[tuple[Pose, list[Pose | None]]]] = {
-        "exocentric": [(poses["exo"], places) for places in drones],
-        "egocentric": [(poses["ego"], beside[0]), (poses["ego_next"], beside[1])],
-    }
-    files = {}
-    for (view, moment), camera, frames in zip(moments.items(), cameras, (exo, ego), strict=True):
-        for step in (0, 1):
-            flow = studio.flow(camera, moment[step], moment[1 - step])
-            pictures = _pictures(frames[step], flow, drone=view == "exocentric")
-            for modality, image in pictures.items():
-                files[view, modality, step] = png(image)
-    return Sample(files, {**facts, "kept": 1})
-
-
-def _pictures(frame: Frame, flow: Flow, *, drone: bool) -> dict[str, Any]:
-    """The images of a moment by modality."""
-    found: dict[str, Any] = {
-        "colour": frame.colour,
-        "depth": encode_depth(frame.depth),
-        "normal_map": encode_normal(frame.normal),
-        "flow": encode_flow(flow.flow, flow.visible, flow.occluded, flow.outside),
-    }
-    if drone:
-        found["silhouette"] = np.rint(255 * frame.silhouette).astype(np.uint8)
-        found["matte"] = np.rint(255 * frame.matte).astype(np.uint8)
-        found["instance"] = (frame.instance + 1).astype(np.uint8)
-    return found
-
-
-def _pose(plan: PlanTable, name: Any, row: int) -> Pose:
-    R, t = plan.pose(name, slice(row, row + 1))
-    return R[0], t[0]
 
 
 def write_dataset(
@@ -441,14 +257,14 @@ def _finish(root: Path, facts: dict[str, Any], plan: PlanTable) -> dict[str, Any
 
 
 def _lists(root: Path) -> None:
-    """``data splits/scenes_SPLIT.txt`` from the scenes that are complete."""
+    """The lists of the splits from the scenes that are complete."""
     scenes: dict[str, list[str]] = {}
-    for path in sorted((root / "scenes").glob("*.json")):
+    for path in scene_files(root):
         found = json.loads(path.read_text(encoding="utf-8"))
         if found.get("complete") and found.get("kept"):
             scenes.setdefault(found["split"], []).append(found["building"])
     for split, names in scenes.items():
-        write_text(root / "data splits" / f"scenes_{split}.txt", "\n".join(names) + "\n")
+        write_text(split_file(root, split), "\n".join(names) + "\n")
 
 
 def _flight_text(plan: PlanTable) -> str:

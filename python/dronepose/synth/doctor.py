@@ -15,9 +15,10 @@ from dronepose.synth import _measures as measures
 from dronepose.synth._findings import CHECKS, NEEDS, Finding
 from dronepose.synth.dataset import FORMAT
 from dronepose.synth.encode import DRONE_ID, ENCODINGS, decode_depth, decode_flow, decode_normal
+from dronepose.synth.layout import MODALITIES, scene_file, split_file
 from dronepose.synth.licences import unlicensed
 from dronepose.synth.others import other_rows
-from dronepose.synth.reading import MODALITIES, SceneFolder, drone_mesh, read_lines, read_scenes
+from dronepose.synth.reading import SceneFolder, drone_mesh, read_lines, read_scenes
 from dronepose.synth.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -182,15 +183,16 @@ def _manifest(root: Path, scenes: list[SceneFolder], finding: Finding) -> None:
             if found != text:
                 problems.append(f"{path}: encodings: {name}: expected {text!r}, found {found!r}")
     for scene in scenes:
-        file = root / "scenes" / f"{scene.building}.json"
+        file = scene_file(root, scene.building)
         if scene.facts.get("complete") is not True:
             problems.append(f"{file}: the scene is not complete; render it once more")
             continue
-        if not file.with_suffix(".csv").is_file():
-            problems.append(f"{file.with_suffix('.csv')}: is missing")
+        table = scene_file(root, scene.building, ".csv")
+        if not table.is_file():
+            problems.append(f"{table}: is missing")
         kept = scene.facts.get("kept")
         if kept and scene.building not in _listed(root, scene.split):
-            problems.append(f"{root}/data splits/scenes_{scene.split}.txt: lacks {scene.building}")
+            problems.append(f"{split_file(root, scene.split)}: lacks {scene.building}")
     lacking = sorted({name for s in scenes for name in unlicensed(s.facts.get("inputs", {}))})
     if lacking:
         finding.note = f"no licence is known of {', '.join(lacking)} (synth render --licence)"
@@ -198,7 +200,7 @@ def _manifest(root: Path, scenes: list[SceneFolder], finding: Finding) -> None:
 
 
 def _listed(root: Path, split: str) -> list[str]:
-    path = root / "data splits" / f"scenes_{split}.txt"
+    path = split_file(root, split)
     if not path.is_file():
         return []
     return [name for line in read_lines(path) if (name := line.strip())]
@@ -227,7 +229,7 @@ def _records(scene: SceneFolder, finding: Finding) -> Kept:
     rows, name = int(scene.facts["rows"]), scene.building
     problems = [f"{name} row {k}: has no record" for k in range(rows) if k not in records]
     problems += [f"{name} row {k}: the plan has {rows} rows" for k in records if k >= rows]
-    path = scene.root / "scenes" / f"{name}.csv"
+    path = scene_file(scene.root, name, ".csv")
     if path.is_file():
         table = list(csv.DictReader(read_lines(path)))
         told = {line.get("row"): line.get("kept") for line in table}

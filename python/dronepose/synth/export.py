@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dronepose._files import folder_beside
 from dronepose.camera import Camera
 from dronepose.render import gbuffer
 from dronepose.synth.dataset import SynthError
 from dronepose.synth.encode import DEPTH_SCALE, DRONE_ID, png
+from dronepose.synth.layout import scene_file
 from dronepose.synth.others import other_rows
 from dronepose.synth.reading import drone_meshes, read_scenes
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
@@ -40,6 +41,8 @@ _AXES = "xyz"
 def whole_folder(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target`` that takes its name if all went well, or vanishes.
 
+    What killed exports have left there is swept.
+
     Args:
         target: The folder to be; it may be there, but empty.
 
@@ -52,14 +55,8 @@ def whole_folder(target: Path) -> Iterator[Path]:
     """
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise SynthError(f"{target}: is there already; choose another folder, or remove it")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    part.mkdir()
-    try:
+    with folder_beside(target) as part:
         yield part
-        part.replace(target)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def complete_scenes(root: str | os.PathLike[str]) -> list[tuple[SceneFolder, list[dict[str, Any]]]]:
@@ -79,7 +76,7 @@ def complete_scenes(root: str | os.PathLike[str]) -> list[tuple[SceneFolder, lis
     for scene in read_scenes(root):
         if scene.facts.get("complete") is not True:
             raise SynthError(
-                f"{scene.root / 'scenes' / scene.building}.json: the scene is not complete; "
+                f"{scene_file(scene.root, scene.building)}: the scene is not complete; "
                 "render it once more to finish it"
             )
         records = [record for record in scene.records() if record["kept"]]

@@ -17,6 +17,8 @@ __all__ = [
     "row_folders",
     "row_of",
     "scene_file",
+    "scene_files",
+    "split_file",
 ]
 
 MODALITIES = {
@@ -70,6 +72,16 @@ def scene_file(root: Path, building: str, suffix: str = ".json") -> Path:
     return root / "scenes" / f"{building}{suffix}"
 
 
+def scene_files(root: Path) -> list[Path]:
+    """What was asked for and made of each scene that is there, by name."""
+    return sorted(scene_file(root, "").parent.glob("*.json"))
+
+
+def split_file(root: Path, split: str) -> Path:
+    """The list of a split's scenes."""
+    return root / "data splits" / f"scenes_{split}.txt"
+
+
 def flight_file(root: Path, facts: Mapping[str, Any]) -> Path:
     """The poses of a scene's flight."""
     place = root / "trajectories" / str(facts["building"]) / str(facts["date"])
@@ -90,4 +102,5 @@ def row_folders(root: Path, facts: Mapping[str, Any]) -> list[Path]:
 def other_folders(root: Path, facts: Mapping[str, Any]) -> list[Path]:
     """The folders of all else that a scene has."""
     scenes = scene_file(root, str(facts["building"])).parent
-    return [root, scenes, flight_file(root, facts).parent, root / "data splits"]
+    splits = split_file(root, "").parent
+    return [root, scenes, flight_file(root, facts).parent, splits]

@@ -93,7 +93,7 @@ def choose_others(
 
 @lru_cache(maxsize=64)
 def _flown(plan: PlanTable, mesh: Mesh) -> tuple[Array, float]:
-    """The middle of a drone's box at t and at t + 1 of each row, ``(2, 3, N)``; half its diagonal."""
+    """Middle of a drone's box at t and t + 1 of each row, ``(2, 3, N)``, and half its diagonal."""
     low, high = mesh.bounds
     middle, poses = (low + high) / 2, (plan.pose("drone"), plan.pose("drone_next"))
     at = np.stack([np.einsum("nij,j->in", R, middle) + t.T for R, t in poses])

@@ -15,7 +15,7 @@ from dronepose.geometry import matrix_from_quat_xyzw
 from dronepose.mesh import Mesh
 from dronepose.synth.dataset import SynthError
 from dronepose.synth.encode import read_png
-from dronepose.synth.layout import MODALITIES, flight_file, image_file, record_file
+from dronepose.synth.layout import MODALITIES, flight_file, image_file, record_file, scene_files
 from dronepose.synth.others import other_rows
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 __all__ = [
-    "MODALITIES",
     "Moments",
     "SceneFolder",
     "drone_mesh",
@@ -226,7 +225,7 @@ def read_scenes(root: str | os.PathLike[str]) -> list[SceneFolder]:
         SynthError: A scene's file is broken.
     """
     root = Path(root)
-    paths = sorted((root / "scenes").glob("*.json"))
+    paths = scene_files(root)
     if not paths:
         raise FileNotFoundError(f"{root}: holds no rendered data set (no scenes/BUILDING.json)")
     found = []

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from dronepose._progress import Progress
 from dronepose.synth.cluster import Cluster
-from dronepose.synth.dataset import RenderSettings, SynthError, write_dataset
+from dronepose.synth.dataset import SynthError, write_dataset
 from dronepose.synth.licences import unlicensed
+from dronepose.synth.sample import RenderSettings
 from dronepose.synth.sources import Sources
 
 if TYPE_CHECKING:

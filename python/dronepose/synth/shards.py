@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from dronepose.synth.dataset import FORMAT, SynthError
 from dronepose.synth.encode import DRONE_ID, ENCODINGS
 from dronepose.synth.export import complete_scenes, whole_folder
+from dronepose.synth.layout import MODALITIES
 from dronepose.synth.others import other_rows
-from dronepose.synth.reading import MODALITIES
 
 if TYPE_CHECKING:
     import os

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from dronepose.synth.encode import decode_depth, decode_flow, decode_normal, png, read_png
-from dronepose.synth.layout import image_file, record_file, scene_file
+from dronepose.synth.layout import image_file, record_file, scene_file, scene_files
 
 if TYPE_CHECKING:
     import os
@@ -57,7 +57,7 @@ def draw_sheet(
         >>> Path("sheet.png").write_bytes(draw_sheet("synth"))  # doctest: +SKIP
     """
     root = Path(root)
-    scenes = sorted(path.stem for path in (root / "scenes").glob("*.json"))
+    scenes = [path.stem for path in scene_files(root)]
     if not scenes:
         raise FileNotFoundError(f"{root}: holds no rendered data set")
     building = building or scenes[0]

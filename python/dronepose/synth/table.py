@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dronepose.synth.export import complete_scenes
+from dronepose.synth.layout import MODALITIES
 from dronepose.synth.licences import unlicensed
-from dronepose.synth.reading import MODALITIES
 
 if TYPE_CHECKING:
     import os
