@@ -42,9 +42,7 @@ def example_plan(folder: Path, rows: int, rules: Rules) -> PlanTable:
     """Rows of the example's flight, evenly spread, repeated where there are not so many."""
     paths = write_example(folder)
     made = make_plan(read_flight(paths["flight"]), read_anchors(paths["anchors"]), rules)
-    keep = np.zeros(len(made), bool)
-    keep[np.linspace(0, len(made) - 1, min(rows, len(made))).astype(int)] = True
-    made.keep(keep, "some", "as many as are timed").write(folder / "plan.csv")
+    made.some(rows).write(folder / "plan.csv")
     table = read_plan(folder / "plan.csv")
     times = -(-rows // len(table))
     columns = {name: np.tile(values, times)[:rows] for name, values in table.columns.items()}

@@ -2,11 +2,9 @@
 
 import json
 
-import numpy as np
-
 from dronepose.camera import Camera
 from dronepose.synth import Rules, make_plan, read_anchors, read_flight, read_plan, write_example
-from dronepose.synth.dataset import RenderSettings, write_dataset
+from dronepose.synth.dataset import write_dataset
 from dronepose.synth.inputs import (
     cameras_of,
     read_drone,
@@ -14,6 +12,7 @@ from dronepose.synth.inputs import (
     read_panoramas,
     read_scene,
 )
+from dronepose.synth.sample import RenderSettings
 from dronepose.synth.studio import Studio
 
 
@@ -32,9 +31,7 @@ def write_tiny(
     )
     flight, anchors = read_flight(paths["flight"]), read_anchors(paths["anchors"])
     made = make_plan(flight, anchors, rules, scene="hall")
-    keep = np.zeros(len(made), bool)
-    keep[np.linspace(0, len(made) - 1, rows).astype(int)] = True
-    made.keep(keep, "some", "a few for the tests").write(folder / "plan.csv")
+    made.some(rows).write(folder / "plan.csv")
     table = read_plan(folder / "plan.csv")
     drone, facts = read_drone("example")
     inputs = {"drone": facts}

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,17 +13,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dronepose._files import beside, sweep, write_bytes
+from dronepose._files import beside, folder_beside, sweep, write_bytes
 from support import command, run
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
 
 from dronepose.camera import Camera  # noqa: E402
+from dronepose.mesh import obj_text  # noqa: E402
 from dronepose.synth import Rules, make_plan, read_anchors, read_flight, write_example  # noqa: E402
 from dronepose.synth.cluster import Cluster, _Order, render_unit  # noqa: E402
-from dronepose.synth.dataset import RenderSettings, SynthError, versions, write_dataset  # noqa: E402
+from dronepose.synth.dataset import SynthError, versions, write_dataset  # noqa: E402
 from dronepose.synth.encode import read_png  # noqa: E402
 from dronepose.synth.running import by_threads  # noqa: E402
+from dronepose.synth.sample import RenderSettings  # noqa: E402
 from dronepose.synth.sources import Sources  # noqa: E402
 
 ROWS = 30
@@ -46,9 +49,7 @@ def plan(tmp_path_factory):
     )
     flight, anchors = read_flight(paths["flight"]), read_anchors(paths["anchors"])
     made = make_plan(flight, anchors, rules, scene="hall")
-    keep = np.zeros(len(made), bool)
-    keep[np.linspace(0, len(made) - 1, ROWS).astype(int)] = True
-    made.keep(keep, "some", "a few for the tests").write(folder / "plan.csv")
+    made.some(ROWS).write(folder / "plan.csv")
     return folder / "plan.csv"
 
 
@@ -83,11 +84,11 @@ def records(root):
     return sum(path.suffix == ".json" and path.name[0] != "." for path in folder.iterdir())
 
 
-def left_by_a_kill(path):
-    """What a process leaves that is killed while it writes a file."""
+def left_by_a_kill(path, code=KILLED):
+    """What a process leaves that is killed while it writes a file, or a folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     before = set(path.parent.iterdir())
-    done = subprocess.run([sys.executable, "-c", KILLED, str(path)], check=False)
+    done = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
     assert done.returncode == -signal.SIGKILL
     (left,) = set(path.parent.iterdir()) - before
     return left
@@ -110,6 +111,33 @@ def test_leftovers_are_swept_and_files_being_written_are_not(tmp_path):
     assert sweep(tmp_path, lambda stem: stem.startswith("7_")) == 1
     assert sorted(names(tmp_path)) == [".hidden", "9.json", "a.part.png"]
     assert sweep(tmp_path / "none") == 0
+
+
+EXPORT_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from dronepose._files import folder_beside
+with folder_beside(Path(sys.argv[1])) as part:
+    (part / "train").mkdir()
+    (part / "train/a.png").write_bytes(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_folders_of_killed_exports_are_swept_by_the_next(tmp_path):
+    left = left_by_a_kill(tmp_path / "bop", EXPORT_KILLED)
+    other = tmp_path / left.name.replace(left.name.split(".")[2], "elsewhere")
+    old = tmp_path / other.name.replace("bop", "shards")
+    for folder in (other, old):
+        shutil.copytree(left, folder)
+    for path in (old / "train/a.png", old / "train", old, other / "train", other):
+        os.utime(path, (1e9, 1e9))  # but other/train/a.png, which may be growing
+    with folder_beside(tmp_path / "bop") as part:
+        (part / "b.png").write_bytes(b"whole")
+        assert {*names(tmp_path)} == {part.name, "b.png", other.name, "train", "a.png"}
+        with folder_beside(tmp_path / "second"):
+            assert part.exists()
+    assert {*names(tmp_path)} == {"bop", "b.png", "second", other.name, "train", "a.png"}
 
 
 def test_killed_at_any_moment_and_taken_up_it_is_the_same_set(plan, whole, tmp_path):
@@ -290,6 +318,39 @@ def test_the_command_renders_on_a_cluster(plan, whole, dask, tmp_path):
     assert "--dask, --workers: expected one of the two" in done.stderr
 
 
+@pytest.fixture
+def crate(tmp_path):
+    """A mesh of another shape, in centimetres, x left, y up, z forward."""
+    path = tmp_path / "meshes" / "crate.obj"
+    path.parent.mkdir()
+    corners = [[-14, -3, -9], [14, -3, -9], [0, -3, 20], [0, 9, 0]]
+    path.write_text(obj_text(corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], "centimetres"))
+    return path
+
+
+def test_a_cluster_renders_several_drones_too(plan, crate, dask, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the workers are elsewhere
+    image = np.full((4, 4, 3), (200, 30, 30), np.uint8)
+    cv2.imwrite(str(crate.with_name("red.png")), image)
+    more = ["--more-drones", "example", crate.relative_to(tmp_path), "--more-units", 1, 0.01,
+            "--more-axes", "flu", "luf", "--more-textures", "-", "meshes/red.png",
+            "--apart", 0.3, "--licence", "drone_3=CC0-1.0"]  # fmt: skip
+    here, there = tmp_path / "here", tmp_path / "there"
+    for root, engine in ((here, ()), (there, ("--dask", dask.scheduler_address))):
+        done = run(*arguments(plan, root, *engine), *more, name="dronepose")
+        assert done.returncode == 0, done.stderr
+        assert "no licence is known of" in done.stderr
+        assert "drone_3," not in done.stderr
+    facts = json.loads((there / "dataset.json").read_text())
+    assert facts["drones"] == 3
+    assert facts["settings"]["apart_m"] == 0.3
+    assert facts["inputs"]["licences"]["drone_3"]["stated"]
+    found = [json.loads(path.read_text()) for path in (there / "records/hall").iterdir()]
+    assert max(record["others"] for record in found) == 2
+    assert any(record["other_2_px"] for record in found)
+    assert files(there) == files(here)
+
+
 def test_stopping_cancels_what_waits(plan, whole, dask, tmp_path):
     class StoppedError(KeyboardInterrupt):
         pass
@@ -338,6 +399,8 @@ def test_workers_compare_their_inputs_and_versions(plan, tmp_path):
     wrong = {**found.facts, "plan": {**found.facts["plan"], "sha256": "0" * 64}}
     with pytest.raises(SynthError, match=r"plan\.csv: is not what .* plan\.sha256 is [0-9a-f]{64}"):
         render_unit(order(wrong, versions()), [0])
+    facts = {**found.facts, "licences": {}}  # they do not matter to the pictures
+    assert render_unit(order(facts, versions()), []) == 0
     with pytest.raises(SynthError, match=r"numpy .*, expected 0\.1 as where the command runs"):
         render_unit(order(found.facts, {**versions(), "numpy": "0.1"}), [0])
     assert not (tmp_path / "data").exists()
@@ -346,6 +409,50 @@ def test_workers_compare_their_inputs_and_versions(plan, tmp_path):
     assert render_unit(order(found.facts, versions()), [3, 4]) == 2  # as after a worker's death
     assert files(tmp_path / "data") == before
     assert records(tmp_path / "data") == 2
+
+
+def test_every_mesh_that_goes_in_is_compared(plan, crate, tmp_path):
+    """By workers with the manifest, and by a run that goes on."""
+    folder, text = crate.parent, crate.read_text()
+    for name in ("a.obj", "b.obj"):
+        (folder / name).write_text(text)
+    columns = [*(f"m{r}{c}" for r in range(3) for c in range(4)), "sx", "sy", "sz"]
+    ones = "0.01,1,0,0,5,0,1,0,0,0,0,1,0,1,1,1"
+    placements = folder / "placements.csv"
+    head = ",".join(["instance", "mesh", "metres_per_unit", *columns])
+    placements.write_text(f"{head}\none,a.obj,{ones}\ntwo,b.obj,{ones}\nmore,a.obj,{ones}\n")
+    sources = Sources(
+        str(plan), scene=str(placements), more_drones=("example", str(crate)), more_units=(0.01,),
+        samples=1,
+    )  # fmt: skip
+    found = sources.load(threads=1)
+    assert list(found.facts["scene"]["meshes"]) == ["a.obj", "b.obj"]
+
+    def begin():
+        loaded = sources.load(threads=1)
+        return write_dataset(
+            tmp_path / "data", loaded.plan, loaded.studio, loaded.cameras, building="hall",
+            inputs=loaded.facts, shard=(0, 1000),
+        )  # fmt: skip
+
+    begin()
+    place = {"building": "hall", "drone": "drone", "date": "flight"}
+    order = _Order(
+        sources.absolute(), str(tmp_path / "on"), place, found.cameras, RenderSettings(),
+        json.dumps(found.facts, sort_keys=True), versions(),
+    )  # fmt: skip
+    for path, file, name in (
+        (folder / "b.obj", "placements.csv", "scene.meshes.b.obj"),
+        (crate, "crate.obj", "more_drones.1.sha256"),
+    ):
+        path.write_text(text + "# another\n")
+        with pytest.raises(SynthError, match=rf"{file}: is not what .* {name} is [0-9a-f]{{64}}"):
+            render_unit(order, [0])
+        with pytest.raises(SynthError, match=f"was rendered with another inputs.{name};"):
+            begin()
+        path.write_text(text)
+    assert render_unit(order, [0]) == 1
+    begin()
 
 
 def test_without_distributed_the_remedy_is_named(plan, tmp_path):

@@ -13,7 +13,14 @@ from dronepose.mesh import Mesh
 from dronepose.render import Environment
 from dronepose.synth._settings import axes as checked_axes
 from dronepose.synth._settings import flu_from_axes
-from dronepose.synth.asset import Asset, AssetError, load_asset, load_placements, merged
+from dronepose.synth.asset import (
+    Asset,
+    AssetError,
+    load_asset,
+    load_placements,
+    merged,
+    placed_meshes,
+)
 from dronepose.synth.exr import read_exr
 from dronepose.synth.rooms import example_hall
 
@@ -54,7 +61,7 @@ def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[
         metres_per_unit: Scale of a mesh.
 
     Returns:
-        The scene, and for the manifest its name and SHA-256.
+        The scene, and for the manifest its name and SHA-256, and those of placed meshes.
 
     Raises:
         AssetError: The file cannot be used.
@@ -69,8 +76,9 @@ def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[
     path = Path(name)
     if path.suffix.lower() == ".csv":
         scene = merged([asset for _, asset in load_placements(path)])
-    else:
-        scene = load_asset(path, metres_per_unit=metres_per_unit).look(lit=False)
+        meshes = {name: _sha256(path.parent / name) for name in placed_meshes(path)}
+        return scene, {**_facts(path), "meshes": meshes}
+    scene = load_asset(path, metres_per_unit=metres_per_unit).look(lit=False)
     return scene, _facts(path)
 
 
@@ -229,7 +237,7 @@ def read_panoramas(
         if image.shape[1] != 2 * image.shape[0]:
             raise AssetError(f"{file}: expected twice as wide as high, got {image.shape[1::-1]}")
         found[file.stem] = Environment(image, threads=threads)
-    return found, {file.stem: _facts(file)["sha256"] for file in files}
+    return found, {file.stem: _sha256(file) for file in files}
 
 
 def _radiance(path: Path) -> NDArray[np.float32]:
@@ -302,4 +310,8 @@ def cameras_of(plan: PlanTable) -> tuple[Camera, Camera]:
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {"file": path.name, "sha256": _sha256(path)}
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
