@@ -1,9 +1,12 @@
-"""Samples a second of `dronepose synth render`, all modalities written, and where the time goes.
+"""Samples a second of `dronepose synth render`, all modalities written, and its memory.
 
     python benches/bench_synth.py [--rows 40] [--scene FILE] [--workers N]
+    python benches/bench_synth.py --memory [--rows 10000] [--size 160x120]
 
 Without `--scene`: the placed house of the data folder if it is there (81,186 faces), else the hall
-that the project makes. The drone is the project's quadrotor, the flight the example's.
+that the project makes. The drone is the project's quadrotor, the flight the example's; where there
+are more rows than it has, they are repeated. `--memory` renders the hall and prints the resident
+memory ten times on the way; images are removed as they come, so that it needs no disk.
 """
 
 import argparse
@@ -14,9 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dronepose.synth import make_plan, read_anchors, read_flight, read_plan, write_example
+from dronepose.camera import Camera
+from dronepose.synth import Rules, make_plan, read_anchors, read_flight, read_plan, write_example
 from dronepose.synth.dataset import write_dataset
 from dronepose.synth.inputs import cameras_of, read_drone, read_panoramas, read_scene
+from dronepose.synth.plan import PlanTable
 from dronepose.synth.studio import Studio
 
 
@@ -27,32 +32,81 @@ def default_scene() -> str:
     return str(house) if house.exists() else "example"
 
 
+def resident_mb(field: str = "VmRSS") -> float:
+    """Resident memory of this process as Linux counts it, now or (`VmHWM`) at most."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(field)) / 1024
+
+
+def example_plan(folder: Path, rows: int, rules: Rules) -> PlanTable:
+    """Rows of the example's flight, evenly spread, repeated where there are not so many."""
+    paths = write_example(folder)
+    made = make_plan(read_flight(paths["flight"]), read_anchors(paths["anchors"]), rules)
+    made.some(rows).write(folder / "plan.csv")
+    table = read_plan(folder / "plan.csv")
+    times = -(-rows // len(table))
+    columns = {name: np.tile(values, times)[:rows] for name, values in table.columns.items()}
+    ids, anchors = (list(part) * times for part in (table.ids, table.anchors))
+    return PlanTable(ids[:rows], anchors[:rows], columns, table.manifest)
+
+
+class Memory:
+    """Prints the resident memory ten times, and removes images meanwhile."""
+
+    def __init__(self, images: Path, rows: int) -> None:
+        self.images, self.every = images, max(rows // 10, 1)
+        self.points: list[tuple[int, float]] = []
+
+    def __call__(self, done: int, total: int) -> None:
+        if done % 100 == 0:
+            for path in self.images.rglob("[0-9]*.png"):  # not what is being written
+                path.unlink()
+        if done % self.every == 0:
+            self.points.append((done, resident_mb()))
+            print(f"{done:6d} rows  {self.points[-1][1]:7.1f} MB", flush=True)
+
+    def growth(self) -> float:
+        """MB for 1,000 rows: slope of the line through all points but those of the first tenth."""
+        rows, mb = np.array(self.points[2:]).T
+        return float(1000 * np.polyfit(rows, mb, 1)[0])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rows", type=int, default=40)
-    parser.add_argument("--scene", default=default_scene())
+    parser.add_argument("--rows", type=int)
+    parser.add_argument("--scene")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--size", default="320x240", help="of the exocentric camera, WxH")
+    parser.add_argument("--memory", action="store_true")
     args = parser.parse_args()
-    scene, _ = read_scene(args.scene)
+    rows = args.rows or (10_000 if args.memory else 40)
+    name = args.scene or ("example" if args.memory else default_scene())
+    scene, _ = read_scene(name)
     environments, _ = read_panoramas(None)
     studio = Studio(scene, [read_drone("example")[0]], samples=3, threads=1)
-    with tempfile.TemporaryDirectory() as name:
-        paths = write_example(name)
-        plan = make_plan(read_flight(paths["flight"]), read_anchors(paths["anchors"]))
-        keep = np.zeros(len(plan), bool)
-        keep[np.linspace(0, len(plan) - 1, args.rows).astype(int)] = True
-        plan.keep(keep, "some", "as many as are timed").write(Path(name) / "plan.csv")
-        table = read_plan(Path(name) / "plan.csv")
+    width, height = map(int, args.size.split("x"))
+    rules = Rules(
+        exo=Camera.from_fov(width, height, horizontal_deg=64.69),
+        ego=Camera.from_fov(width, height * 3 // 4, horizontal_deg=85.0),
+    )
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        table = example_plan(folder, rows, rules)
+        memory = Memory(folder / "set" / "drone", rows) if args.memory else None
         begin = time.perf_counter(), time.process_time()
         made = write_dataset(
-            Path(name) / "set", table, studio, cameras_of(table), building="bench",
-            environments=environments, workers=args.workers,
+            folder / "set", table, studio, cameras_of(table), building="bench",
+            environments=environments, workers=args.workers, progress=memory,
         )  # fmt: skip
         wall, processor = time.perf_counter() - begin[0], time.process_time() - begin[1]
-    print(f"scene {Path(args.scene).name}, {len(scene.mesh.faces)} faces, {args.workers} workers")
+    print(f"scene {Path(name).name}, {len(scene.mesh.faces)} faces, {args.workers} workers, "
+          f"images {args.size}")  # fmt: skip
     print(f"{made['kept']} of {made['rows']} rows kept")
     print(f"{made['rows'] / wall:.1f} rows a second, {1e3 * processor / made['rows']:.0f} ms of "
           "one core a row")  # fmt: skip
+    if memory is not None:
+        print(f"after all {resident_mb():.1f} MB, at most {resident_mb('VmHWM'):.1f} MB; "
+              f"growth {memory.growth():+.2f} MB for 1,000 rows")  # fmt: skip
 
 
 if __name__ == "__main__":

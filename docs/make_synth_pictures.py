@@ -10,8 +10,6 @@ import argparse
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 from dronepose.synth import make_plan, read_anchors, read_flight, read_plan, write_example
 from dronepose.synth.dataset import write_dataset
 from dronepose.synth.inputs import cameras_of, read_drone, read_panoramas, read_scene
@@ -31,9 +29,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         paths = write_example(name)
         plan = make_plan(read_flight(paths["flight"]), read_anchors(paths["anchors"]), scene="hall")
-        keep = np.zeros(len(plan), bool)
-        keep[np.linspace(0, len(plan) - 1, 3 * ROWS).astype(int)] = True
-        plan.keep(keep, "some", "as many as are shown").write(Path(name) / "plan.csv")
+        plan.some(3 * ROWS).write(Path(name) / "plan.csv")
         table = read_plan(Path(name) / "plan.csv")
         write_dataset(
             Path(name) / "set", table, studio, cameras_of(table), building="hall",

@@ -2,17 +2,27 @@
 
 import json
 
-import numpy as np
-
 from dronepose.camera import Camera
 from dronepose.synth import Rules, make_plan, read_anchors, read_flight, read_plan, write_example
-from dronepose.synth.dataset import RenderSettings, write_dataset
-from dronepose.synth.inputs import cameras_of, read_drone, read_panoramas, read_scene
+from dronepose.synth.dataset import write_dataset
+from dronepose.synth.inputs import (
+    cameras_of,
+    read_drone,
+    read_more_drones,
+    read_panoramas,
+    read_scene,
+)
+from dronepose.synth.sample import RenderSettings
 from dronepose.synth.studio import Studio
 
 
-def write_tiny(folder, *, rows=4, size=(96, 72), scenes=(("hall", "train"),)):
-    """``folder/data`` with a few rows a scene; the folder and the plan's table."""
+def write_tiny(
+    folder, *, rows=4, size=(96, 72), scenes=(("hall", "train"),), more=(), apart_m=0.6, **options
+):
+    """``folder/data`` with a few rows a scene; the folder and the plan's table.
+
+    ``more`` are the arguments of ``read_more_drones``, ``options`` those of ``write_dataset``.
+    """
     paths = write_example(folder)
     width, height = size
     rules = Rules(
@@ -21,12 +31,15 @@ def write_tiny(folder, *, rows=4, size=(96, 72), scenes=(("hall", "train"),)):
     )
     flight, anchors = read_flight(paths["flight"]), read_anchors(paths["anchors"])
     made = make_plan(flight, anchors, rules, scene="hall")
-    keep = np.zeros(len(made), bool)
-    keep[np.linspace(0, len(made) - 1, rows).astype(int)] = True
-    made.keep(keep, "some", "a few for the tests").write(folder / "plan.csv")
+    made.some(rows).write(folder / "plan.csv")
     table = read_plan(folder / "plan.csv")
     drone, facts = read_drone("example")
-    studio = Studio(read_scene("example")[0], [drone], samples=3)
+    inputs = {"drone": facts}
+    drones = [drone]
+    if more:
+        further, inputs["more_drones"] = read_more_drones(**more)
+        drones += further
+    studio = Studio(read_scene("example")[0], drones, samples=3)
     for building, split in scenes:
         done = write_dataset(
             folder / "data",
@@ -36,8 +49,9 @@ def write_tiny(folder, *, rows=4, size=(96, 72), scenes=(("hall", "train"),)):
             building=building,
             split=split,
             environments=read_panoramas(None)[0],
-            settings=RenderSettings(least_pixels=20, least_seen=0.4),
-            inputs={"drone": facts},
+            settings=RenderSettings(least_pixels=20, least_seen=0.4, apart_m=apart_m),
+            inputs=inputs,
+            **options,
         )
         assert done["complete"]
         assert done["kept"] >= 2

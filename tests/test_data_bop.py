@@ -10,7 +10,7 @@ cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
 
 from dronepose import Camera, Mesh, render  # noqa: E402
 from dronepose.data import BopDataset, DataError, PoseDataModule, render_toy_sample  # noqa: E402
-from dronepose.data._poses import PoseRow, poses_text  # noqa: E402
+from dronepose.data._poses import poses_csv  # noqa: E402
 from dronepose.data.toyset import EXAMPLE_MESH, ToySettings  # noqa: E402
 from support import SHARED, evaluate  # noqa: E402
 
@@ -86,8 +86,8 @@ def test_names_are_the_ids_of_the_evaluation(tmp_path):
     data = BopDataset(tmp_path, "val", object_id=5)
     assert data.names == ["1/0/5", "1/1/5", "1/2/5", "2/0/5", "2/1/5", "2/2/5"]
     loaded = [data.load(k) for k in range(6)]
-    rows = [PoseRow(raw.name, 0, raw.R, raw.t, {}) for raw in loaded]
-    (tmp_path / "est.csv").write_text(poses_text(rows))
+    R, t = (np.stack([getattr(raw, name) for raw in loaded]) for name in "Rt")
+    (tmp_path / "est.csv").write_text(poses_csv([raw.name for raw in loaded], R, t))
     found = evaluate(tmp_path / "est.csv", tmp_path / "val", "--objects", "5")
     assert found["metrics"]["acc"]["2"]["percent_of_gt"] == 100
     one = BopDataset(tmp_path / "val", "000002", object_id=6)

@@ -16,7 +16,7 @@ from torch.utils.data import default_collate  # noqa: E402
 
 from dronepose import evaluate  # noqa: E402
 from dronepose.data import DataError, FolderDataset, read_manifest, write_toyset  # noqa: E402
-from dronepose.data._poses import PoseRow, poses_csv, poses_text, read_poses  # noqa: E402
+from dronepose.data._poses import poses_csv, read_poses  # noqa: E402
 
 HEADER = "id,qw,qx,qy,qz,tx,ty,tz"
 
@@ -180,13 +180,16 @@ def test_written_poses_are_read_back(tmp_path):
     rng = np.random.default_rng(0)
     q, _ = np.linalg.qr(rng.normal(size=(4, 3, 3)))
     q *= np.linalg.det(q)[:, None, None]
-    rows = [PoseRow(f'a "{k}",\n', 0, q[k], rng.random(3) + 1, {"image": f"{k}"}) for k in range(4)]
-    (tmp_path / "p.csv").write_text(poses_text(rows))
-    for row, back in zip(rows, read_poses(tmp_path / "p.csv"), strict=True):
-        np.testing.assert_allclose(back.R, row.R, atol=1e-10)
-        np.testing.assert_allclose(back.t, row.t, atol=1e-10)
-        assert back.name == row.name.strip()
-        assert back.further == row.further
+    t = rng.random((4, 3)) + 1
+    names, images = [f'a "{k}",\n' for k in range(4)], [f"{k}" for k in range(4)]
+    text = poses_csv(names, q, t, form=".12g", further={"image": images})
+    (tmp_path / "p.csv").write_text(text)
+    for k, back in enumerate(read_poses(tmp_path / "p.csv")):
+        np.testing.assert_allclose(back.R, q[k], atol=1e-10)
+        np.testing.assert_allclose(back.t, t[k], atol=1e-10)
+        assert back.name == names[k].strip()
+        assert back.further == {"image": images[k]}
+    assert k == 3
 
 
 def test_numbers_and_cells_are_written_as_asked_for(tmp_path):

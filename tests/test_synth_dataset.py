@@ -17,14 +17,10 @@ from dronepose.mesh import Mesh  # noqa: E402
 from dronepose.render import silhouette  # noqa: E402
 from dronepose.synth import Rules, make_plan, read_anchors, read_flight, write_example  # noqa: E402
 from dronepose.synth.asset import AssetError  # noqa: E402
-from dronepose.synth.dataset import (  # noqa: E402
-    RenderSettings,
-    SynthError,
-    render_sample,
-    write_dataset,
-)
+from dronepose.synth.dataset import SynthError, write_dataset  # noqa: E402
 from dronepose.synth.encode import decode_depth, read_png  # noqa: E402
 from dronepose.synth.inputs import cameras_of, read_drone, read_panoramas, read_scene  # noqa: E402
+from dronepose.synth.sample import RenderSettings, render_sample  # noqa: E402
 from dronepose.synth.studio import Studio  # noqa: E402
 
 ROWS = 5
@@ -41,10 +37,7 @@ def plan(tmp_path_factory):
     made = make_plan(
         read_flight(paths["flight"]), read_anchors(paths["anchors"]), rules, scene="hall"
     )
-    keep = np.zeros(len(made), bool)
-    keep[np.linspace(0, len(made) - 1, ROWS).astype(int)] = True
-    made = made.keep(keep, "some", "a few for the tests")
-    made.write(folder / "plan.csv")
+    made.some(ROWS).write(folder / "plan.csv")
     return folder / "plan.csv"
 
 

@@ -21,7 +21,7 @@ from dronepose.synth.dataset import SynthError  # noqa: E402
 from dronepose.synth.encode import decode_depth, read_png  # noqa: E402
 from dronepose.synth.export import export_bop, rle_counts, whole_folder  # noqa: E402
 from dronepose.synth.inputs import cameras_of  # noqa: E402
-from dronepose.synth.reading import MODALITIES  # noqa: E402
+from dronepose.synth.layout import MODALITIES  # noqa: E402
 from dronepose.synth.shards import export_webdataset  # noqa: E402
 from synth_set import kept_rows, write_tiny  # noqa: E402
 

@@ -3,7 +3,6 @@
 import hashlib
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from dronepose import Camera
 from dronepose.geometry import matrix_from_quat_wxyz
 from dronepose.synth import (
     Funnel,
-    Placement,
     Rules,
     SceneSplits,
     Track,
@@ -25,9 +23,8 @@ from dronepose.synth import (
     write_example,
 )
 from dronepose.synth.report import yaw_pitch_roll_deg
-from dronepose.synth.rules import PIXEL_RULES
 from oracles import synth as oracle
-from support import EXAMPLES, ROOT, loads, rows, run
+from support import EXAMPLES, loads, rows, run
 
 RULES = ("anchor", "distance", "neighbours", "ego-motion", "look-at", "border", "pair")
 
@@ -189,6 +186,21 @@ def test_rules_that_need_pictures_have_their_place(demo):
         plan.keep([True], "invalid", "no holes")
     with pytest.raises(ValueError, match="removed: expected 0 to 0"):
         Funnel().and_then("hidden", 1, "")
+
+
+def test_a_few_samples_are_spread_evenly(demo):
+    plan = make_plan(read_flight(demo["flight"]), read_anchors(demo["anchors"]))
+    ids = plan.table().ids
+    few = plan.some(4).table().ids
+    assert [few[0], few[-1]] == [ids[0], ids[-1]]
+    steps = np.diff([ids.index(name) for name in few])
+    assert len(few) == 4
+    assert np.ptp(steps) <= 1
+    for count in (len(plan), len(plan) + 7):
+        assert plan.some(count).table().ids == ids
+    assert len(plan.some(len(plan) - 1)) == len(plan) - 1
+    with pytest.raises(ValueError, match="count: expected at least 1"):
+        plan.some(0)
 
 
 def test_settings_out_of_range_are_named(demo):
@@ -358,7 +370,7 @@ def test_placement_scene_split_and_centroid_reach_the_manifest(demo, tmp_path):
 
 
 def test_free_space_makes_anchors_for_the_command(tmp_path):
-    out = tmp_path / "a.csv"
+    out = tmp_path / "new" / "a.csv"
     box = ["--low", 0, 0, 1, "--high", 6, 6, 2, "--count", 9]
     done = synth("anchors", *box, "--out", out, "--json")
     assert done.returncode == 0, done.stderr
@@ -432,80 +444,3 @@ def test_planning_needs_neither_torch_nor_matplotlib():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-FLIGHTS = (
-    ("euroc/V1_02_medium.csv", {}),
-    ("euroc/V1_02_medium.txt", {"body_axes": "urf"}),
-    ("uzhfpv/indoor_forward_5_snapdragon_with_gt.txt", {}),
-    ("uzhfpv/indoor_45_14_snapdragon_with_gt.txt", {}),
-)
-
-
-@pytest.mark.parametrize("scan", ["17DRP5sb8fy", "8194nk5LbLH", "TbHJrupSAjP"])
-@pytest.mark.parametrize(("name", "options"), FLIGHTS)
-def test_real_flights_over_real_anchors(shared, scan, name, options):
-    anchors = read_anchors(
-        shared(f"data/anchors/matterport3d/connectivity/{scan}_connectivity.json"),
-        include_excluded=True,
-    )
-    flight = read_flight(shared(f"data/trajectories/{name}"), **options)
-    plan = make_plan(flight, anchors, fit="centre", scene=scan)
-    steps = plan.funnel.steps
-    assert steps[0].came_in == plan.facts["frames"]
-    assert steps[-1].left == len(plan) > 50
-    if scan == "8194nk5LbLH":
-        track = flight.resample().placed(
-            Placement(**{k: v for k, v in plan.facts["placement"].items() if k != "fit"})
-        )
-        _, removed = oracle.plan(track, anchors.positions, Rules())
-        assert {step.rule: step.removed for step in steps} == removed
-
-
-def test_the_paper_s_splits_do_not_leak(shared):
-    splits = read_splits(shared("data/anchors/matterport3d/splits"))
-    assert [len(splits.scenes[s]) for s in ("train", "val", "test")] == [61, 11, 18]
-
-
-def test_a_settings_change_of_a_real_plan_is_seen(shared):
-    """The rule that a real flight fails most is its distance from the anchors."""
-    anchors = read_anchors(
-        shared("data/anchors/matterport3d/connectivity/TbHJrupSAjP_connectivity.json")
-    )
-    flight = read_flight(shared("data/trajectories/uzhfpv/indoor_45_14_snapdragon_with_gt.txt"))
-    near = make_plan(flight, anchors, Rules(), fit="centre")
-    wide = make_plan(flight, anchors, replace(Rules(), max_distance_m=3.0), fit="centre")
-    assert len(wide) > len(near)
-    assert max(near.funnel.steps, key=lambda step: step.removed).rule == "distance"
-
-
-def test_the_commands_of_the_page_run(tmp_path, monkeypatch):
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    page = (ROOT / "docs" / "synthesis.md").read_text(encoding="utf-8")
-    console = page.split("```console\n")[1].split("```")[0]
-    lines = [line.removeprefix("$ dronepose ") for line in console.splitlines()]
-    assert len(lines) == 6
-    (tmp_path / "examples").symlink_to(EXAMPLES)
-    for line in lines:
-        some = ("--shard", "0/60") if line.startswith("synth render") else ()  # takes a minute
-        done = run(*line.split(), *some, cwd=tmp_path, name="dronepose")
-        assert done.returncode == 0, f"{line}\n{done.stderr}"
-    monkeypatch.chdir(tmp_path)
-    before = (tmp_path / "demo" / "plan.csv").read_bytes()
-    exec(page.split("```python\n")[1].split("```")[0], {})
-    assert (tmp_path / "demo" / "plan.csv").read_bytes() != before  # another seed
-
-
-def test_the_page_names_every_rule_and_default():
-    page = (ROOT / "docs" / "synthesis.md").read_text(encoding="utf-8")
-    rules = Rules()
-    for name in (*RULES, "whole", *PIXEL_RULES):
-        assert f"`{name}`" in page, name
-    for sentence in (
-        f"`{rules.min_distance_m} <= \\|p_t - a_t\\| <= {rules.max_distance_m}` m",
-        f"moves {rules.min_move_m} m or turns {rules.min_turn_deg} degrees at least, "
-        f"{rules.max_move_m} m and {rules.max_turn_deg:.0f} degrees at most",
-        f"cubes of {rules.anchor_cube_m} m and {rules.drone_cube_m} m",
-        f"not within {rules.border} of the width",
-    ):
-        assert sentence in page, sentence

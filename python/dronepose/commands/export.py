@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from typing import TYPE_CHECKING, Any
+
+from dronepose.commands._running import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,18 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         >>> main(["--weights", "drone.safetensors"])
         2
     """
-    try:
-        options = _parser().parse_args(argv)
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    try:
-        return _run(options)
-    except (OSError, ValueError, TypeError, ImportError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("error: interrupted", file=sys.stderr)
-        return 130
+    return run(_parser(), argv, _run, also=(TypeError,))
 
 
 def size(text: str) -> tuple[int, int]:

@@ -10,8 +10,11 @@ import json
 import signal
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, Any
+
+from dronepose._progress import Progress
+from dronepose.commands._running import run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -57,23 +60,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         >>> main(["--weights", "drone.onnx"])
         2
     """
-    try:
-        options = _parser().parse_args(argv)
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    progress = _Progress(options.quiet)
-    try:
-        with _stoppable():
-            summary = _run(options, progress)
-    except (OSError, ValueError, TypeError, ImportError) as error:
-        progress.end()
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        progress.end()
-        print("error: interrupted; files that were not complete are gone", file=sys.stderr)
-        return 130
-    progress.end()
+    gone = "error: interrupted; files that were not complete are gone"
+    return run(_parser(), argv, _work, stopped=gone, also=(TypeError,))
+
+
+def _work(options: argparse.Namespace) -> int:
+    with _stoppable(), closing(Progress("frames", quiet=options.quiet)) as progress:
+        summary = _run(options, progress)
     if options.json:
         print(json.dumps(summary, indent=2))
     elif not options.quiet:
@@ -218,7 +211,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(options: argparse.Namespace, progress: _Progress) -> dict[str, Any]:
+def _run(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     from pathlib import Path
 
     from dronepose.infer import Predictor, Source, Style, color
@@ -259,10 +252,12 @@ def _run(options: argparse.Namespace, progress: _Progress) -> dict[str, Any]:
         batch=options.batch,
         limit=options.limit,
     )
-    progress.total = source.count
+    total = source.count
     if options.limit is not None:
-        progress.total = min(options.limit, source.count or options.limit)
-    return infer(source, predictors, Path(options.out), chosen, progress)
+        total = min(options.limit, source.count or options.limit)
+    progress(0, total)
+    out = Path(options.out)
+    return infer(source, predictors, out, chosen, lambda done, _: progress(done, total))
 
 
 def _sentences(summary: dict[str, Any]) -> str:
@@ -283,31 +278,6 @@ def _sentences(summary: dict[str, Any]) -> str:
 
 def _jitter(values: dict[str, float]) -> str:
     return f"{1000 * values['position_m']:.2f} mm, {values['rotation_deg']:.3f} deg"
-
-
-class _Progress:
-    """A line on standard error for what takes longer than two seconds."""
-
-    def __init__(self, quiet: bool) -> None:
-        self.quiet = quiet
-        self.total: int | None = None
-        self._last = 2.0
-        self._open = False
-        self._terminal = sys.stderr.isatty()
-
-    def __call__(self, done: int, seconds: float) -> None:
-        if self.quiet or seconds < self._last:
-            return
-        self._last = seconds + (0.2 if self._terminal else 10.0)
-        of = "" if self.total is None else f" of {self.total}"
-        line = f"{done}{of} frames, {done / seconds:.1f} frames/s"
-        print(f"\r{line}" if self._terminal else line, end="" if self._terminal else "\n",
-              file=sys.stderr, flush=True)  # fmt: skip
-        self._open = self._terminal
-
-    def end(self) -> None:
-        if self._open:
-            print(file=sys.stderr)
 
 
 def _camera(text: str) -> Camera:

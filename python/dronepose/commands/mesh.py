@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from dronepose.commands._running import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,18 +33,11 @@ def main(argv: Sequence[str]) -> int:
         >>> main(["check", "examples/quadrotor.obj"])  # doctest: +SKIP
         0
     """
-    try:
-        args = _parser().parse_args(list(argv))
-    except SystemExit as end:
-        return int(end.code or 0)
-    try:
-        found: dict[str, Any] = args.run(args)
-    except (ImportError, OSError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stopped; nothing was written", file=sys.stderr)
-        return 130
+    return run(_parser(), argv, _work)
+
+
+def _work(args: argparse.Namespace) -> int:
+    found: dict[str, Any] = args.run(args)
     text = found.pop("text")
     print(json.dumps(found, indent=2) if args.json else text)
     return 0
@@ -81,7 +75,7 @@ def _simplify(args: argparse.Namespace) -> dict[str, Any]:
     import numpy as np
 
     from dronepose._files import write_text
-    from dronepose.mesh import Mesh
+    from dronepose.mesh import Mesh, obj_text
 
     try:
         import fast_simplification  # type: ignore[import-untyped,unused-ignore]
@@ -101,10 +95,8 @@ def _simplify(args: argparse.Namespace) -> dict[str, Any]:
         points, faces = fast_simplification.simplify(
             points.astype(np.float32), faces.astype(np.int32), target_count=args.faces
         )
-    lines = [f"# {Path(args.file).name}, {before} faces made {len(faces)}; metres"]
-    lines += ["v " + " ".join(f"{float(x):.9g}" for x in v) for v in points]
-    lines += ["f " + " ".join(str(int(i) + 1) for i in f) for f in faces]
-    write_text(args.out, "\n".join(lines) + "\n")
+    note = f"{Path(args.file).name}, {before} faces made {len(faces)}; metres"
+    write_text(args.out, obj_text(points, faces, note))
     low, high = mesh.bounds
     shift = float(
         max(np.abs(points.min(axis=0) - low).max(), np.abs(points.max(axis=0) - high).max())
@@ -124,12 +116,12 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for name, text, run in (
+    for name, text, work in (
         ("check", "say what a file holds", _check),
         ("simplify", "write it with fewer faces (quadric edge collapse)", _simplify),
     ):
         made = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-        made.set_defaults(run=run)
+        made.set_defaults(run=work)
         made.add_argument(
             "file", type=Path, metavar="FILE", help="OBJ, PLY, STL; others by trimesh"
         )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from dronepose.commands._running import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,19 +41,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str]) -> int:
     """Run ``dronepose predict``; 0 done, 1 refused, 2 the command line was not understood."""
-    try:
-        options = parser().parse_args(argv)
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    try:
-        from dronepose.train.predict import run
+    return run(parser(), argv, _work)
 
-        found = run(options)
-    except KeyboardInterrupt:
-        return 130
-    except (ImportError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+
+def _work(options: argparse.Namespace) -> int:
+    from dronepose.train import predict
+
+    found = predict.run(options)
     if options.json:
         print(json.dumps(found))
     else:

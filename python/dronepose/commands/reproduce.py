@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dronepose.commands._running import GOES_ON, run
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -51,18 +53,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str]) -> int:
     """Run ``dronepose reproduce``; 0 done, 1 refused, 2 the command line was not understood."""
-    try:
-        options = parser().parse_args(argv)
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    try:
-        return _mini(options)
-    except KeyboardInterrupt:
-        print("stopped; the same command goes on", file=sys.stderr)
-        return 130
-    except (ImportError, ValueError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    return run(parser(), argv, _mini, stopped=GOES_ON)
 
 
 def _mini(options: argparse.Namespace) -> int:

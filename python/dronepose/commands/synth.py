@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import threading
-import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from dronepose._progress import Progress, Stages
+from dronepose.commands._running import GOES_ON, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -59,6 +61,7 @@ examples:
   dronepose synth render house.csv --scene small_house/placements.csv --drone DJI.obj \\
       --panoramas hdri --building house --split train --out data
   dronepose synth render house.csv --scene house.glb --shard 3/16 --out data
+  dronepose synth render house.csv --scene house.glb --dask tcp://head:8786 --out data
 
 The same command goes on where it was stopped. The layout is UAVA's: dronepose train reads it with
 --data.kind uava. Pictures depend on the plan, the inputs and --seed alone.
@@ -86,6 +89,14 @@ examples:
 Writes all kept samples, both times, into a new folder: bop has the exocentric view, in millimetres,
 webdataset has tar files with all images of both views. The folder is there when all of it is.
 """
+TABLE = """\
+examples:
+  dronepose synth table demo/data
+  dronepose synth table data --environment Indoor --data-type photorealistic --latex
+
+Prints the columns of the paper's table of data sets for what was made, beside those of the paper.
+All but the two options is counted in the folder.
+"""
 REPORT = """\
 example:
   dronepose synth report demo/plan.csv --out demo
@@ -108,58 +119,13 @@ def main(argv: Sequence[str]) -> int:
         >>> main(["plan", "--help"])  # doctest: +SKIP
         0
     """
-    try:
-        args = _parser().parse_args(list(argv))
-    except SystemExit as end:
-        return int(end.code or 0)
-    run: Callable[[argparse.Namespace, Stages], int] = args.run
-    try:
-        with Stages() as stage:
-            return run(args, stage)
-    except (ImportError, OSError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stopped; nothing was written", file=sys.stderr)
-        return 130
+    return run(_parser(), argv, _work)
 
 
-class Stages:
-    """Says on standard error what goes on, from two seconds after the beginning.
-
-    Example:
-        >>> with Stages() as stage:
-        ...     stage("reading")
-    """
-
-    def __init__(self) -> None:
-        self._begin = time.monotonic()
-        self._text = "starting"
-        self._lock = threading.Lock()
-        # The work is native and lets other threads run.
-        self._timer = threading.Timer(2.0, self._say)
-        self._timer.daemon = True
-
-    def __enter__(self) -> Stages:
-        """Begin."""
-        self._timer.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End, said or not."""
-        self._timer.cancel()
-
-    def __call__(self, text: str) -> None:
-        """Begin a stage."""
-        with self._lock:
-            self._text = text
-        if time.monotonic() - self._begin >= 2:
-            self._say()
-
-    def _say(self) -> None:
-        with self._lock:
-            seconds = time.monotonic() - self._begin
-            print(f"{seconds:.0f} s: {self._text}", file=sys.stderr, flush=True)
+def _work(args: argparse.Namespace) -> int:
+    done: Callable[[argparse.Namespace, Stages], int] = args.run
+    with Stages() as stage:
+        return done(args, stage)
 
 
 def _plan(args: argparse.Namespace, stage: Stages) -> int:
@@ -394,36 +360,49 @@ def _sheet(args: argparse.Namespace, stage: Stages) -> int:
 
 def _doctor(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth.doctor import check_dataset
-    from dronepose.synth.reading import ticker
 
     stage("looking at the folder")
-    found = check_dataset(args.data, mesh=args.mesh, limit=args.limit, progress=ticker("samples"))
+    with closing(Progress("samples")) as progress:
+        found = check_dataset(args.data, mesh=args.mesh, limit=args.limit, progress=progress)
     print(json.dumps(found.facts(), indent=2) if args.json else found)
     return 0 if found.healthy else 1
 
 
 def _export(args: argparse.Namespace, stage: Stages) -> int:
-    from dronepose.synth.reading import ticker
-
     stage("exporting")
-    if args.format == "bop":
-        from dronepose.synth.export import export_bop
+    with closing(Progress("samples")) as progress:
+        if args.format == "bop":
+            from dronepose.synth.export import export_bop
 
-        if args.shard_size is not None:
-            raise ValueError("--shard-size: only for --format webdataset")
-        made = export_bop(args.data, args.out, mesh=args.mesh, progress=ticker("samples"))
-        text = f"{made['images']} images of {made['samples']} samples"
-    else:
-        from dronepose.synth.shards import export_webdataset
+            if args.shard_size is not None:
+                raise ValueError("--shard-size: only for --format webdataset")
+            made = export_bop(args.data, args.out, mesh=args.mesh, progress=progress)
+            text = f"{made['images']} images of {made['samples']} samples"
+        else:
+            from dronepose.synth.shards import export_webdataset
 
-        if args.mesh is not None:
-            raise ValueError("--mesh: only for --format bop")
-        made = export_webdataset(
-            args.data, args.out, shard_size=args.shard_size or 500, progress=ticker("samples")
-        )
-        text = f"{made['samples']} samples, {made['keys']} keys, in {len(made['shards'])} shards"
+            if args.mesh is not None:
+                raise ValueError("--mesh: only for --format bop")
+            size = args.shard_size or 500
+            made = export_webdataset(args.data, args.out, shard_size=size, progress=progress)
+            text = (
+                f"{made['samples']} samples, {made['keys']} keys, in {len(made['shards'])} shards"
+            )
     print(json.dumps({"out": str(args.out), **made}, indent=2) if args.json else
           f"{args.out}: {text}")  # fmt: skip
+    return 0
+
+
+def _table(args: argparse.Namespace, stage: Stages) -> int:
+    from dronepose.synth.table import data_table
+
+    stage("counting")
+    made = data_table(
+        args.data, name=args.name, environment=args.environment, data_type=args.data_type
+    )
+    text = made.latex() if args.latex else made.markdown()
+    print(json.dumps({**made.facts, "column": made.values}, indent=2) if args.json else text,
+          end="\n" if args.json else "")  # fmt: skip
     return 0
 
 
@@ -471,7 +450,9 @@ def _parser() -> argparse.ArgumentParser:
         command("anchors", "choose places in the free space of a scene", ANCHORS, _anchors)
     )
     options.add_fly_options(command("fly", "fly through a scene without a simulator", FLY, _fly))
-    options.add_render_options(command("render", "render a plan to a data set", RENDER, _render))
+    render = command("render", "render a plan to a data set", RENDER, _render)
+    options.add_render_options(render)
+    render.set_defaults(stopped=GOES_ON)
     sheet = command("sheet", "draw a contact sheet of a rendered data set", SHEET, _sheet)
     sheet.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
     sheet.add_argument("--building", metavar="NAME", help="which scene [the first]")
@@ -485,9 +466,13 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("data", type=Path, metavar="DATA", help="folder of the data set")
     export.add_argument("--format", required=True, choices=("bop", "webdataset"), help="which")
     export.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
-    export.add_argument("--mesh", metavar="FILE", help="bop: the drone's [the example drone's]")
+    text = "bop: the drone's, of several in their order [the example drone's]"
+    export.add_argument("--mesh", nargs="+", metavar="FILE", help=text)
     export.add_argument(
         "--shard-size", type=_count, metavar="N", help="webdataset: samples a file [500]"
+    )
+    options.add_table_options(
+        command("table", "compare a rendered data set with the paper's", TABLE, _table)
     )
     example = command("example", "write a flight and anchors to try out", EXAMPLE, _example)
     example.add_argument("out", type=Path, metavar="DIR", help="folder to write to")

@@ -9,9 +9,12 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import sys
 import time
+from contextlib import closing
 from typing import TYPE_CHECKING
+
+from dronepose._progress import Progress
+from dronepose.commands._running import GOES_ON, run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,30 +43,25 @@ def main(argv: Sequence[str]) -> int:
         >>> main(["toy", "--train", "80"])  # doctest: +SKIP
         0
     """
-    try:
-        args = _parser().parse_args(list(argv))
-    except SystemExit as end:
-        return int(end.code or 0)
-    try:
-        from dronepose.data import ToySettings, write_toyset
-        from dronepose.data.toyset import Progress
-    except ImportError as error:
-        print(f"dronepose toyset: {error}", file=sys.stderr)
-        return 1
-    progress = Progress(sys.stderr)
+    return run(_parser(), argv, _work, stopped=GOES_ON)
+
+
+def _work(args: argparse.Namespace) -> int:
+    from dronepose.data import ToySettings, write_toyset
+
     begin = time.monotonic()
-    try:
-        settings = ToySettings(
-            height=args.size[0],
-            width=args.size[1],
-            seed=args.seed,
-            distance=tuple(args.distance),
-            spread=args.spread,
-            max_tilt_deg=args.max_tilt,
-            max_pitch_deg=args.max_pitch,
-            up=args.up,
-            backgrounds=args.backgrounds,
-        )
+    settings = ToySettings(
+        height=args.size[0],
+        width=args.size[1],
+        seed=args.seed,
+        distance=tuple(args.distance),
+        spread=args.spread,
+        max_tilt_deg=args.max_tilt,
+        max_pitch_deg=args.max_pitch,
+        up=args.up,
+        backgrounds=args.backgrounds,
+    )
+    with closing(Progress("samples")) as progress:
         made = write_toyset(
             args.out,
             counts={"train": args.train, "val": args.val, "test": args.test},
@@ -72,15 +70,6 @@ def main(argv: Sequence[str]) -> int:
             shard=args.shard,
             progress=progress,
         )
-    except (OSError, ValueError) as error:
-        progress.close()
-        print(f"dronepose toyset: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        progress.close()
-        print("stopped; the same command goes on from here", file=sys.stderr)
-        return 130
-    progress.close()
     seconds = time.monotonic() - begin
     if args.json:
         print(json.dumps({**made, "seconds": round(seconds, 3)}, indent=2))

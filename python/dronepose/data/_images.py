@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from dronepose._files import write_bytes
+from dronepose._png import encode_png
 from dronepose.data._errors import DataError, missing
 
 if TYPE_CHECKING:
@@ -57,13 +58,10 @@ def write_png(path: Path, image: Bytes) -> None:
     """Write ``(H, W, 3)`` RGB or ``(H, W)`` uint8, whole or not at all.
 
     Raises:
+        ValueError: It is no such image.
         OSError: The file cannot be written.
     """
-    shown = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
-    done, content = cv2.imencode(".png", shown)
-    if not done:
-        raise OSError(f"{path}: cannot be encoded as PNG")
-    write_bytes(path, content.tobytes())
+    write_bytes(path, encode_png(image))
 
 
 def _content(path: Path, of: str, what: str) -> Bytes:

@@ -14,7 +14,7 @@ from dronepose import geometry
 from dronepose.data._errors import DataError, read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -200,17 +200,3 @@ def _cell(text: str) -> str:
         doubled = text.replace('"', '""')
         return f'"{doubled}"'
     return text
-
-
-def poses_text(rows: Iterable[PoseRow]) -> str:
-    """Rows as CSV by :func:`poses_csv`, with 12 digits and the further columns of the first."""
-    rows = list(rows)
-    return poses_csv(
-        [row.name for row in rows],
-        np.array([row.R for row in rows]).reshape(-1, 3, 3),
-        np.array([row.t for row in rows]).reshape(-1, 3),
-        form=".12g",
-        further={name: [row.further[name] for row in rows] for name in rows[0].further}
-        if rows
-        else None,
-    )

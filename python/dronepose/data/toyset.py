@@ -16,7 +16,6 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -30,10 +29,11 @@ from dronepose.camera import Camera
 from dronepose.data._errors import DataError
 from dronepose.data._images import write_png
 from dronepose.data._manifest import CONVENTIONS, FORMAT, SPLITS
-from dronepose.data._poses import PoseRow, poses_text
+from dronepose.data._poses import poses_csv
 from dronepose.data._shading import Light, Model, drawn, painted
 from dronepose.data.backgrounds import Photographs, procedural
-from dronepose.mesh import Mesh
+from dronepose.geometry import matrix_from_axis_angle
+from dronepose.mesh import Mesh, obj_text
 
 if TYPE_CHECKING:
     import os
@@ -144,23 +144,15 @@ def toy_pose(settings: ToySettings, generator: np.random.Generator) -> tuple[Arr
     left = np.cross(up, forward)
     axes = [forward, left, up] if settings.up == "z" else [left, up, forward]
     level = np.stack(axes, axis=1)
-    R = _turn(np.array([0.0, 0.0, 1.0]), roll) @ (
-        _turn(np.cos(about) * right + np.sin(about) * ahead, tilt) @ level
-    )
+    rolled = matrix_from_axis_angle([0.0, 0.0, roll])
+    tilted = matrix_from_axis_angle(tilt * (np.cos(about) * right + np.sin(about) * ahead))
+    R = rolled @ (tilted @ level)
     low, high = 0.5 - settings.spread / 2, 0.5 + settings.spread / 2
     u = camera.width * generator.uniform(low, high)
     v = camera.height * generator.uniform(low, high)
     ray = np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0])
     t = ray / np.linalg.norm(ray) * generator.uniform(*settings.distance)
-    return R, t, _turn(np.array([0.0, 0.0, 1.0]), roll) @ up
-
-
-def _turn(axis: Array, angle: float) -> Array:
-    """Rotation by ``angle`` about a unit ``axis`` (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    out: Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    return out
+    return R, t, rolled @ up
 
 
 def _generators(seed: int, split: str, number: int) -> tuple[np.random.Generator, ...]:
@@ -372,10 +364,7 @@ def _mesh(mesh: str | os.PathLike[str] | Mesh | None) -> tuple[Mesh, bytes]:
         mesh = Mesh.from_file(path)
         if path.suffix.lower() == ".obj":
             return mesh, path.read_bytes()
-    lines = ["# metres"]
-    lines += ["v " + " ".join(f"{x:.9g}" for x in v) for v in mesh.vertices]
-    lines += ["f " + " ".join(str(i + 1) for i in f) for f in mesh.faces]
-    return mesh, ("\n".join(lines) + "\n").encode()
+    return mesh, obj_text(mesh.vertices, mesh.faces, "metres").encode()
 
 
 def _manifest(settings: ToySettings, counts: dict[str, int], mesh: bytes) -> dict[str, Any]:
@@ -404,6 +393,8 @@ def _manifest(settings: ToySettings, counts: dict[str, int], mesh: bytes) -> dic
 def _begin(root: Path, manifest: dict[str, Any], mesh: bytes) -> None:
     """Make the folder, or make sure that what it holds is of the same settings."""
     path = root / "dataset.json"
+    # Looked at first: another shard may begin between the two, and begins with dataset.json.
+    full = root.exists() and any(not file.name.startswith(".") for file in root.iterdir())
     if path.exists():
         try:
             before = json.loads(path.read_text(encoding="utf-8"))
@@ -415,7 +406,7 @@ def _begin(root: Path, manifest: dict[str, Any], mesh: bytes) -> None:
                     f"{path}: holds a data set of other {key}: {before.get(key)}, "
                     f"asked for {manifest.get(key)}; choose another folder, or remove this one"
                 )
-    elif root.exists() and any(not file.name.startswith(".") for file in root.iterdir()):
+    elif full:
         raise DataError(f"{root}: is not empty and holds no data set; choose another folder")
     root.mkdir(parents=True, exist_ok=True)
     if not path.exists():
@@ -429,12 +420,16 @@ def _write_json(path: Path, content: Any) -> None:
 
 
 def _poses(settings: ToySettings, split: str, count: int) -> str:
-    rows = []
-    for number in range(count):
-        R, t, _ = toy_pose(settings, _generators(settings.seed, split, number)[0])
-        name = f"{split}-{number:06d}"
-        rows.append(PoseRow(name, number + 2, R, t, {"image": f"{number:06d}.png"}))
-    return poses_text(rows)
+    poses = [
+        toy_pose(settings, _generators(settings.seed, split, number)[0]) for number in range(count)
+    ]
+    return poses_csv(
+        [f"{split}-{number:06d}" for number in range(count)],
+        np.array([R for R, _, _ in poses]),
+        np.array([t for _, t, _ in poses]),
+        form=".12g",
+        further={"image": [f"{number:06d}.png" for number in range(count)]},
+    )
 
 
 def _all_there(root: Path, counts: dict[str, int]) -> bool:
@@ -443,40 +438,3 @@ def _all_there(root: Path, counts: dict[str, int]) -> bool:
         for split, count in counts.items()
         for number in range(count)
     )
-
-
-class Progress:
-    """A line on a stream that shows itself after two seconds.
-
-    Args:
-        stream: Where it is written, such as ``sys.stderr``.
-
-    Example:
-        >>> import sys
-        >>> Progress(sys.stderr)(1, 100)
-    """
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-        self._begin = self._last = time.monotonic()
-        self._shown = False
-
-    def __call__(self, done: int, total: int) -> None:
-        """Say that ``done`` of ``total`` are there."""
-        now = time.monotonic()
-        if now - self._begin >= 2 and (now - self._last >= 0.2 or done == total):
-            self._last, self._shown = now, True
-            left = (now - self._begin) / max(done, 1) * (total - done)
-            self._stream.write(f"\r{done}/{total} samples, {left:.0f} s left   ")
-            self._stream.flush()
-
-    def close(self) -> None:
-        """End the line, if there is one.
-
-        Example:
-            >>> import sys
-            >>> Progress(sys.stderr).close()
-        """
-        if self._shown:
-            self._stream.write("\n")
-            self._shown = False

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dronepose.synth.anchors import Anchors, read_anchors, sample_free_space
     from dronepose.synth.asset import Asset, AssetError, load_asset, load_placements, merged
-    from dronepose.synth.dataset import RenderSettings, SynthError, render_sample, write_dataset
+    from dronepose.synth.cluster import Cluster
+    from dronepose.synth.dataset import SynthError, write_dataset
     from dronepose.synth.example import write_example
     from dronepose.synth.flight import (
         Flight,
@@ -41,7 +42,9 @@ if TYPE_CHECKING:
     from dronepose.synth.report import draw_map, draw_poses
     from dronepose.synth.rooms import example_hall
     from dronepose.synth.rules import Funnel, FunnelStep, Rules
+    from dronepose.synth.sample import RenderSettings, render_sample
     from dronepose.synth.sheet import draw_sheet
+    from dronepose.synth.sources import Loaded, Sources
     from dronepose.synth.splits import SceneSplits, check_splits, read_splits
     from dronepose.synth.studio import Frame, Studio
 
@@ -49,12 +52,14 @@ __all__ = [
     "Anchors",
     "Asset",
     "AssetError",
+    "Cluster",
     "Flight",
     "Flown",
     "Frame",
     "Funnel",
     "FunnelStep",
     "Issue",
+    "Loaded",
     "Pilot",
     "Placement",
     "Plan",
@@ -62,6 +67,7 @@ __all__ = [
     "RenderSettings",
     "Rules",
     "SceneSplits",
+    "Sources",
     "Studio",
     "SynthError",
     "Track",
@@ -91,19 +97,22 @@ _HOME = {
     "Anchors": "anchors",
     "Asset": "asset",
     "AssetError": "asset",
+    "Cluster": "cluster",
     "Flight": "flight",
     "Flown": "flyer",
     "Frame": "studio",
     "Funnel": "rules",
     "FunnelStep": "rules",
     "Issue": "flight",
+    "Loaded": "sources",
     "Pilot": "flyer",
     "Placement": "flight",
     "Plan": "plan",
     "PlanTable": "plan",
-    "RenderSettings": "dataset",
+    "RenderSettings": "sample",
     "Rules": "rules",
     "SceneSplits": "splits",
+    "Sources": "sources",
     "Studio": "studio",
     "SynthError": "dataset",
     "Track": "flight",
@@ -123,7 +132,7 @@ _HOME = {
     "read_flight": "flight",
     "read_plan": "plan",
     "read_splits": "splits",
-    "render_sample": "dataset",
+    "render_sample": "sample",
     "sample_free_space": "anchors",
     "write_dataset": "dataset",
     "write_example": "example",

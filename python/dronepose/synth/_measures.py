@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from dronepose.synth.encode import DEPTH_SCALE
+from dronepose.synth.encode import DEPTH_SCALE, DRONE_ID
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,11 +110,11 @@ def matte_excess(matte: Floats, silhouette: Floats) -> float:
 
 
 def instance_error(instance: NDArray[Any], matte: Floats) -> float:
-    """Share of the drone's pixels that the matte contradicts.
+    """Share of the first drone's pixels that the matte contradicts.
 
-    A pixel of the drone where the matte is 0, or another where it is 1.
+    A pixel of it where the matte is 0, or another where it is 1.
     """
-    drone = instance >= 2
+    drone = instance == DRONE_ID
     wrong = (drone & (matte == 0)) | (~drone & (matte == 1))
     return float(wrong.sum()) / max(int((drone | (matte > 0)).sum()), 1)
 

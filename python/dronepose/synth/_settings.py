@@ -13,6 +13,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_DIRECTIONS = {
+    "f": (1, 0, 0),
+    "b": (-1, 0, 0),
+    "l": (0, 1, 0),
+    "r": (0, -1, 0),
+    "u": (0, 0, 1),
+    "d": (0, 0, -1),
+}
+
 
 def encode(settings: dict[str, Any]) -> str:
     """JSON of settings.
@@ -64,6 +73,19 @@ def axes(name: str, text: str) -> str:
             f"as flu (forward, left, up) or frd, got {text!r}"
         )
     return found
+
+
+def flu_from_axes(letters: str) -> NDArray[np.float64]:
+    """What takes a body whose axes point as the letters say to forward, left, up; ``(3, 3)``.
+
+    Args:
+        letters: As :func:`axes` gives them.
+
+    Example:
+        >>> (flu_from_axes("luf") @ [1, 0, 0]).tolist()
+        [0.0, 1.0, 0.0]
+    """
+    return np.array([_DIRECTIONS[letter] for letter in letters], dtype=np.float64).T
 
 
 def vector(name: str, value: Any) -> list[float]:

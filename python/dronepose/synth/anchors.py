@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dronepose import _native
 from dronepose._arrays import read_only
-from dronepose._files import beside
+from dronepose._files import write_text
 from dronepose.synth._settings import chosen, encode, vector
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Anchors:
         """Writes them as CSV, which :func:`read_anchors` reads.
 
         Args:
-            path: The file.
+            path: The file; its folder is made if it is not there.
 
         Returns:
             Nothing.
@@ -86,8 +86,7 @@ class Anchors:
         for name, place in zip(self.names, self.positions.tolist(), strict=True):
             quoted = '"' + name.replace('"', '""') + '"' if set(name) & set(',"\r\n') else name
             lines.append(",".join([quoted, *map(repr, place)]))
-        with beside(Path(path)) as part:
-            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_text(Path(path), "\n".join(lines) + "\n")
 
 
 def sample_free_space(

@@ -241,9 +241,40 @@ def load_placements(path: str | os.PathLike[str]) -> list[tuple[str, Asset]]:
         >>> rooms = load_placements("small_house/placements.csv")  # doctest: +SKIP
     """
     path = Path(path)
+    models: dict[tuple[str, float], Asset] = {}
+    found = []
+    for instance, mesh, unit, placed in _placements(path):
+        key = (mesh, unit)
+        if key not in models:
+            models[key] = load_asset(path.parent / mesh, metres_per_unit=unit).look(lit=False)
+        found.append((instance, models[key].moved(placed)))
+    return found
+
+
+def placed_meshes(path: str | os.PathLike[str]) -> list[str]:
+    """The meshes that a CSV of :func:`load_placements` names.
+
+    Args:
+        path: The CSV.
+
+    Returns:
+        Their names as in the CSV, relative to it, sorted, each once.
+
+    Raises:
+        AssetError: As :func:`load_placements`.
+        FileNotFoundError: There is no such CSV.
+
+    Example:
+        >>> placed_meshes("small_house/placements.csv")  # doctest: +SKIP
+        ['models/Bed.obj', 'models/Wall.obj']
+    """
+    return sorted({mesh for _, mesh, _, _ in _placements(Path(path))})
+
+
+def _placements(path: Path) -> list[tuple[str, str, float, Array]]:
+    """Instance, mesh, metres of its unit and matrix with the scale, row by row."""
     if not path.is_file():
         raise FileNotFoundError(f"{path}: there is no such file")
-    models: dict[tuple[str, float], Asset] = {}
     found = []
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
@@ -256,14 +287,10 @@ def load_placements(path: str | os.PathLike[str]) -> list[tuple[str, Asset]]:
             numbers = {name: _number(row[name], place, name) for name in wanted[2:]}
             matrix = np.array([numbers[name] for name in _MATRIX]).reshape(3, 4)
             scale = np.array([numbers[axis] for axis in ("sx", "sy", "sz")])
-            unit = numbers["metres_per_unit"]
-            key = (row["mesh"], unit)
-            if key not in models:
-                asset = load_asset(path.parent / row["mesh"], metres_per_unit=unit)
-                models[key] = asset.look(lit=False)
-            placed = matrix.copy()
-            placed[:, :3] *= scale
-            found.append((row["instance"], models[key].moved(placed)))
+            matrix[:, :3] *= scale
+            if not row["mesh"]:
+                raise AssetError(f"{place}: column mesh: expected a file")
+            found.append((row["instance"], row["mesh"], numbers["metres_per_unit"], matrix))
     if not found:
         raise AssetError(f"{path}: holds no placements")
     return found

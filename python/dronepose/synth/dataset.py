@@ -6,8 +6,9 @@ import csv
 import io
 import json
 import platform
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, field
+from contextlib import closing
+from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,29 +18,34 @@ import numpy as np
 from dronepose import _native
 from dronepose._files import write_bytes, write_text
 from dronepose.geometry import quat_wxyz_from_matrix
-from dronepose.synth.encode import (
-    ENCODINGS,
-    encode_depth,
-    encode_flow,
-    encode_normal,
-    png,
+from dronepose.synth.encode import ENCODINGS
+from dronepose.synth.layout import (
+    flight_file,
+    image_file,
+    record_file,
+    scene_file,
+    scene_files,
+    split_file,
 )
+from dronepose.synth.resuming import difference, room, rows_there, tidy
+from dronepose.synth.running import by_threads
+from dronepose.synth.sample import RenderSettings, render_sample
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
     from dronepose.camera import Camera
-    from dronepose.render import Environment, Flow
+    from dronepose.render import Environment
+    from dronepose.synth.cluster import Cluster
     from dronepose.synth.plan import PlanTable
-    from dronepose.synth.studio import Frame, Studio
+    from dronepose.synth.studio import Studio
 
     Array = NDArray[np.float64]
-    Pose = tuple[Array, Array]
 
-__all__ = ["FORMAT", "RenderSettings", "SynthError", "render_sample", "write_dataset"]
+__all__ = ["FORMAT", "SynthError", "versions", "write_dataset", "write_row"]
 
 FORMAT = "dronepose-uava-1"
 _BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -47,157 +53,6 @@ _BLENDER_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 class SynthError(ValueError):
     """A folder or an argument that does not fit; the message names it."""
-
-
-@dataclass(frozen=True, slots=True)
-class RenderSettings:
-    """How a plan is rendered, and which rules look at the pictures.
-
-    Args:
-        seed: Of the lights. The light of a sample depends on it and on the sample's row alone.
-        strength: Smallest and largest factor of the panorama's light (DronePose, section 3: 0.3 to
-            0.7), uniform.
-        least_seen: Rule *hidden*: share of the drone's area in each exocentric image that the scene
-            must not hide, 0 to 1.
-        most_hole: Rule *invalid*: share of an image in which the scan may have holes, 0 to 1.
-        least_pixels: Rule *hidden*: area of the drone in each exocentric image, pixels.
-
-    Raises:
-        ValueError: A value is out of its range; the message starts with its name.
-
-    Example:
-        >>> RenderSettings().strength
-        (0.3, 0.7)
-    """
-
-    seed: int = 0
-    strength: tuple[float, float] = (0.3, 0.7)
-    least_seen: float = 0.5
-    most_hole: float = 0.05
-    least_pixels: float = 100.0
-
-    def __post_init__(self) -> None:
-        low, high = self.strength
-        if not 0 <= low <= high < 1e3:
-            raise ValueError(f"strength: expected 0 <= smallest <= largest, got {self.strength}")
-        for name in ("least_seen", "most_hole"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
-        if self.seed < 0 or not 0 <= self.least_pixels < 1e9:
-            raise ValueError("seed, least_pixels: expected numbers >= 0")
-
-
-@dataclass(slots=True)
-class Sample:
-    """The pictures of a row of the plan and what the rules say of them.
-
-    Args:
-        files: PNG by ``(view, modality, time step)``.
-        facts: Numbers for ``samples.csv``; ``kept`` is 1 or 0, ``removed_by`` names the rule.
-    """
-
-    files: dict[tuple[str, str, int], bytes] = field(default_factory=dict)
-    facts: dict[str, Any] = field(default_factory=dict)
-
-
-def render_sample(
-    studio: Studio,
-    plan: PlanTable,
-    row: int,
-    cameras: tuple[Camera, Camera],
-    environments: Mapping[str, Environment],
-    settings: RenderSettings,
-) -> Sample:
-    """Render one row: both cameras, both times, and the flow between them both ways.
-
-    Args:
-        studio: The scene and one drone.
-        plan: The poses.
-        row: Which, from 0.
-        cameras: The exocentric and the egocentric camera.
-        environments: Panoramas by name; empty leaves the drone unlit.
-        settings: Light and rules.
-
-    Returns:
-        The pictures; none where a rule removes the sample.
-
-    Raises:
-        ValueError: A pose cannot be drawn.
-
-    Example:
-        >>> sample = render_sample(studio, plan, 0, cameras, {}, RenderSettings())  # doctest: +SKIP
-        >>> sample.facts["kept"]  # doctest: +SKIP
-        1
-    """
-    poses = {name: _pose(plan, name, row) for name in
-             ("exo", "ego", "ego_next", "drone", "drone_next")}  # fmt: skip
-    generator = np.random.default_rng([settings.seed, row])
-    names = sorted(environments)
-    which = names[int(generator.integers(len(names)))] if names else None
-    strength, turn = generator.uniform(*settings.strength), generator.uniform(0, 2 * np.pi)
-    light: dict[str, Any] = {
-        "environment": None if which is None else environments[which],
-        "strength": float(strength),
-        "world_from_panorama": _about_up(float(turn)),
-    }
-    drones = ([poses["drone"]], [poses["drone_next"]])
-    exo = [studio.frame(cameras[0], poses["exo"], drone, **light) for drone in drones]
-    facts: dict[str, Any] = {
-        "row": row,
-        "id": plan.ids[row],
-        "environment": which or "",
-        "strength": float(strength),
-        "panorama_rad": float(turn),
-        "seen": min(frame.seen for frame in exo),
-        "area_px": min(float(frame.silhouette.sum(dtype=np.float64)) for frame in exo),
-        "hole": max(frame.hole for frame in exo),
-        "kept": 0,
-        "removed_by": "",
-    }
-    if facts["seen"] < settings.least_seen or facts["area_px"] < settings.least_pixels:
-        return Sample({}, {**facts, "removed_by": "hidden"})
-    ego = [studio.frame(cameras[1], poses[name]) for name in ("ego", "ego_next")]
-    facts["hole"] = max(facts["hole"], *(frame.hole for frame in ego))
-    if facts["hole"] > settings.most_hole:
-        return Sample({}, {**facts, "removed_by": "invalid"})
-    moments: dict[str, list[tuple[Pose, list[Pose]]]] = {
-        "exocentric": [(poses["exo"], drone) for drone in drones],
-        "egocentric": [(poses["ego"], []), (poses["ego_next"], [])],
-    }
-    files = {}
-    for (view, moment), camera, frames in zip(moments.items(), cameras, (exo, ego), strict=True):
-        for step in (0, 1):
-            flow = studio.flow(camera, moment[step], moment[1 - step])
-            pictures = _pictures(frames[step], flow, drone=view == "exocentric")
-            for modality, image in pictures.items():
-                files[view, modality, step] = png(image)
-    return Sample(files, {**facts, "kept": 1})
-
-
-def _pictures(frame: Frame, flow: Flow, *, drone: bool) -> dict[str, Any]:
-    """The images of a moment by modality."""
-    found: dict[str, Any] = {
-        "colour": frame.colour,
-        "depth": encode_depth(frame.depth),
-        "normal_map": encode_normal(frame.normal),
-        "flow": encode_flow(flow.flow, flow.visible, flow.occluded, flow.outside),
-    }
-    if drone:
-        found["silhouette"] = np.rint(255 * frame.silhouette).astype(np.uint8)
-        found["matte"] = np.rint(255 * frame.matte).astype(np.uint8)
-        found["instance"] = (frame.instance + 1).astype(np.uint8)
-    return found
-
-
-def _pose(plan: PlanTable, name: Any, row: int) -> Pose:
-    R, t = plan.pose(name, slice(row, row + 1))
-    return R[0], t[0]
-
-
-def _about_up(angle: float) -> Array:
-    """Rotation about the world's z axis."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def write_dataset(
@@ -215,6 +70,7 @@ def write_dataset(
     inputs: Mapping[str, Any] | None = None,
     shard: tuple[int, int] = (0, 1),
     workers: int = 1,
+    cluster: Cluster | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Render a plan into a data set, or what is missing of it.
@@ -227,7 +83,7 @@ def write_dataset(
     Args:
         root: The folder, in the layout of :class:`dronepose.data.UavaDataset`.
         plan: The poses, of one flight in one scene.
-        studio: The scene and one drone.
+        studio: The scene and the drone, and perhaps further ones.
         cameras: The exocentric and the egocentric camera.
         building: Name of the scene; no underscores or slashes.
         drone: Name of the drone.
@@ -239,7 +95,9 @@ def write_dataset(
         shard: ``(k, n)`` renders every n-th row from the k-th on; the shard that finds all records
             there finishes the data set.
         workers: Threads that render a row each; the studio's own threads are beside these.
-        progress: Called with the number of rows of the shard that are done, and of all of them.
+        cluster: Whose workers render in place of this process.
+        progress: Called with the number of rows of the shard that are done, and of all of them;
+            first with what is there at the beginning.
 
     Returns:
         The manifest, with ``"written"``: rows that this call rendered.
@@ -247,7 +105,7 @@ def write_dataset(
     Raises:
         SynthError: The folder holds a data set of other settings, the scene is in another split,
             or a name cannot be part of a file's name.
-        OSError: A file cannot be written.
+        OSError: A file cannot be written; of a full disk the message says how many rows are done.
 
     Example:
         >>> made = write_dataset("set", plan, studio, cameras, building="hall")  # doctest: +SKIP
@@ -269,115 +127,144 @@ def write_dataset(
         "date": date,
         "split": split,
         "rows": len(plan),
-        "settings": json.loads(json.dumps(asdict(settings))),
+        "settings": settings.facts(len(studio.drones)),
         "cameras": {"exocentric": asdict(cameras[0]), "egocentric": asdict(cameras[1])},
         "environments": sorted(environments or {}),
         "inputs": json.loads(json.dumps(dict(inputs or {}))),
         "plan": plan.manifest,
+        **({"drones": len(studio.drones)} if len(studio.drones) > 1 else {}),
     }
-    _begin(root, building, facts)
-    records = root / "records" / building
     own = range(k, len(plan), n)
-    missing = [row for row in own if not (records / f"{row:06d}.json").exists()]
+    with room(root, building, own):
+        _begin(root, building, facts)
+        tidy(root, facts)
+        there = rows_there(root, building)
+        missing = [row for row in own if row not in there]
 
-    def work(row: int) -> None:
-        sample = render_sample(studio, plan, row, cameras, environments or {}, settings)
-        for (view, modality, step), content in sample.files.items():
-            name = f"{row}_{date}_{step}_{modality}_{view}_0.png"
-            write_bytes(root / drone / view / modality / building / name, content)
-        write_text(records / f"{row:06d}.json", json.dumps(sample.facts) + "\n")
+        def work(row: int) -> int:
+            write_row(root, facts, studio, plan, row, cameras, environments or {}, settings)
+            return 1
 
-    for count in _each(work, missing, workers):
-        if progress is not None:
-            progress(len(own) - len(missing) + count, len(own))
-    done = [records / f"{row:06d}.json" for row in range(len(plan))]
-    complete = all(path.exists() for path in done)
-    if complete:
-        kept = [json.loads(path.read_text(encoding="utf-8")) for path in done]
-        facts = _finish(root, facts, kept, plan)
+        if cluster is not None and missing:
+            counts = cluster.render(root, facts, cameras, settings, missing)
+        else:
+            counts = by_threads(work, missing, workers)
+        done = len(own) - len(missing)
+        with closing(counts):  # at an error, too, nothing is left running
+            for count in chain((0,), counts):
+                done += count
+                if progress is not None:
+                    progress(done, len(own))
+        if cluster is not None:
+            tidy(root, facts, missing)
+        complete = rows_there(root, building).issuperset(range(len(plan)))
+        if complete:
+            facts = _finish(root, facts, plan)
     return {**facts, "complete": complete, "written": len(missing)}
 
 
-def _each(work: Callable[[int], None], rows: list[int], workers: int) -> Iterator[int]:
-    """Work on every row, by several threads; how many are done. The first error ends it."""
-    if workers <= 1:
-        for count, row in enumerate(rows, 1):
-            work(row)
-            yield count
-        return
-    pool = ThreadPoolExecutor(workers)
-    try:
-        futures = [pool.submit(work, row) for row in rows]
-        for count, future in enumerate(as_completed(futures), 1):
-            future.result()
-            yield count
-    finally:
-        pool.shutdown(cancel_futures=True)
+def write_row(
+    root: Path,
+    facts: Mapping[str, Any],
+    studio: Studio,
+    plan: PlanTable,
+    row: int,
+    cameras: tuple[Camera, Camera],
+    environments: Mapping[str, Environment],
+    settings: RenderSettings,
+) -> None:
+    """Render a row and write its images, and at last its record, with which it is done.
+
+    Args:
+        root: The data set.
+        facts: Of the scene: ``building``, ``drone`` and ``date``.
+        studio: As for :func:`render_sample`, and so are all that follow.
+        plan: The poses.
+        row: Which, from 0.
+        cameras: The exocentric and the egocentric camera.
+        environments: Panoramas by name.
+        settings: Light and rules.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    sample = render_sample(studio, plan, row, cameras, environments, settings)
+    for (view, modality, step), content in sample.files.items():
+        write_bytes(image_file(root, facts, row, step, view, modality), content)
+    write_text(record_file(root, facts["building"], row), json.dumps(sample.facts) + "\n")
 
 
 def _begin(root: Path, building: str, facts: dict[str, Any]) -> None:
     """Make sure that what is there is of the same settings, and the scene of no other split."""
-    path = root / "scenes" / f"{building}.json"
+    path = scene_file(root, building)
     if path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
-        for key, value in facts.items():
-            if before.get(key) != json.loads(json.dumps(value)):
-                raise SynthError(
-                    f"{path}: was rendered with another {key}; choose another folder, or remove it"
-                )
+        differs = difference({key: before.get(key) for key in facts}, json.loads(json.dumps(facts)))
+        if differs is not None:
+            name = ".".join(differs[0])
+            raise SynthError(
+                f"{path}: was rendered with another {name}; choose another folder, or remove it"
+            )
         return
     write_text(path, json.dumps({**facts, "complete": False}, indent=1) + "\n")
 
 
-def _finish(
-    root: Path, facts: dict[str, Any], records: list[dict[str, Any]], plan: PlanTable
-) -> dict[str, Any]:
+def versions() -> dict[str, str]:
+    """Of what the bits of the pictures depend on."""
+    return {
+        "dronepose": _native.__version__,
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _finish(root: Path, facts: dict[str, Any], plan: PlanTable) -> dict[str, Any]:
     """The flight's file, the lists of scenes and the manifest, once all rows are rendered."""
-    building, date = facts["building"], facts["date"]
+    building, count = facts["building"], len(plan)
     table = io.StringIO()
-    writer = csv.DictWriter(table, list(records[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    write_text(root / "scenes" / f"{building}.csv", table.getvalue())
-    flight = root / "trajectories" / building / date / "poses_blender.txt"
-    write_text(flight, _flight_text(plan))
-    removed = [record["removed_by"] for record in records]
-    left = len(records) - removed.count("hidden")
+    writer, kept, removed = None, 0, dict.fromkeys(("hidden", "invalid"), 0)
+    for row in range(count):
+        record = json.loads(record_file(root, building, row).read_text(encoding="utf-8"))
+        if writer is None:
+            writer = csv.DictWriter(table, list(record), lineterminator="\n")
+            writer.writeheader()
+        writer.writerow(record)
+        kept += record["kept"]
+        if record["removed_by"]:
+            removed[record["removed_by"]] += 1
+    write_text(scene_file(root, building, ".csv"), table.getvalue())
+    write_text(flight_file(root, facts), _flight_text(plan))
     steps = [
-        {"rule": "hidden", "came": len(records), "removed": removed.count("hidden")},
-        {"rule": "invalid", "came": left, "removed": removed.count("invalid")},
+        {"rule": "hidden", "came": count, "removed": removed["hidden"]},
+        {"rule": "invalid", "came": count - removed["hidden"], "removed": removed["invalid"]},
     ]
     facts = {
         "format": FORMAT,
         "complete": True,
         **facts,
-        "kept": sum(record["kept"] for record in records),
+        "kept": kept,
         "rendered_rules": steps,
         "encodings": ENCODINGS,
-        "versions": {
-            "dronepose": _native.__version__,
-            "numpy": np.__version__,
-            "opencv": cv2.__version__,
-            "python": platform.python_version(),
-        },
+        "versions": versions(),
     }
-    path = root / "scenes" / f"{building}.json"
     held = {key: value for key, value in facts.items() if key != "format"}
-    write_text(path, json.dumps({**held, "complete": True}, indent=1) + "\n")
+    text = json.dumps({**held, "complete": True}, indent=1) + "\n"
+    write_text(scene_file(root, building), text)
     _lists(root)
     write_text(root / "dataset.json", json.dumps(facts, indent=1) + "\n")
     return facts
 
 
 def _lists(root: Path) -> None:
-    """``data splits/scenes_SPLIT.txt`` from the scenes that are complete."""
+    """The lists of the splits from the scenes that are complete."""
     scenes: dict[str, list[str]] = {}
-    for path in sorted((root / "scenes").glob("*.json")):
+    for path in scene_files(root):
         found = json.loads(path.read_text(encoding="utf-8"))
         if found.get("complete") and found.get("kept"):
             scenes.setdefault(found["split"], []).append(found["building"])
     for split, names in scenes.items():
-        write_text(root / "data splits" / f"scenes_{split}.txt", "\n".join(names) + "\n")
+        write_text(split_file(root, split), "\n".join(names) + "\n")
 
 
 def _flight_text(plan: PlanTable) -> str:

@@ -14,8 +14,11 @@ from dronepose.render import gbuffer, silhouette
 from dronepose.synth import _measures as measures
 from dronepose.synth._findings import CHECKS, NEEDS, Finding
 from dronepose.synth.dataset import FORMAT
-from dronepose.synth.encode import ENCODINGS, decode_depth, decode_flow, decode_normal
-from dronepose.synth.reading import MODALITIES, SceneFolder, drone_mesh, read_lines, read_scenes
+from dronepose.synth.encode import DRONE_ID, ENCODINGS, decode_depth, decode_flow, decode_normal
+from dronepose.synth.layout import MODALITIES, scene_file, split_file
+from dronepose.synth.licences import unlicensed
+from dronepose.synth.others import other_rows
+from dronepose.synth.reading import SceneFolder, drone_mesh, read_lines, read_scenes
 from dronepose.synth.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Pictures = dict[tuple[int, str], NDArray[Any]]
+    Kept = dict[int, list[int | None]]
 
 __all__ = ["Diagnosis", "check_dataset"]
 
@@ -139,7 +143,7 @@ def check_dataset(
     _manifest(root, scenes, found["manifest"])
     _splits(root, scenes, found["splits"])
     work: list[tuple[SceneFolder, int, Moments | None]] = []
-    kept_of: dict[str, list[int]] = {}
+    kept_of: dict[str, Kept] = {}
     for scene in scenes:
         kept = _records(scene, found["records"])
         kept_of[scene.building] = kept
@@ -150,7 +154,8 @@ def check_dataset(
     if limit is not None and limit < total:
         work = [work[round(k)] for k in np.linspace(0, total - 1, limit)]
     for count, (scene, row, moments) in enumerate(work, 1):
-        _sample(scene, row, moments, drone, found, threads)
+        others = kept_of[scene.building][row]
+        _sample(scene, row, moments, others, drone, found, threads)
         if progress is not None:
             progress(count, len(work))
     if found["warp"].levels:
@@ -178,20 +183,24 @@ def _manifest(root: Path, scenes: list[SceneFolder], finding: Finding) -> None:
             if found != text:
                 problems.append(f"{path}: encodings: {name}: expected {text!r}, found {found!r}")
     for scene in scenes:
-        file = root / "scenes" / f"{scene.building}.json"
+        file = scene_file(root, scene.building)
         if scene.facts.get("complete") is not True:
             problems.append(f"{file}: the scene is not complete; render it once more")
             continue
-        if not file.with_suffix(".csv").is_file():
-            problems.append(f"{file.with_suffix('.csv')}: is missing")
+        table = scene_file(root, scene.building, ".csv")
+        if not table.is_file():
+            problems.append(f"{table}: is missing")
         kept = scene.facts.get("kept")
         if kept and scene.building not in _listed(root, scene.split):
-            problems.append(f"{root}/data splits/scenes_{scene.split}.txt: lacks {scene.building}")
+            problems.append(f"{split_file(root, scene.split)}: lacks {scene.building}")
+    lacking = sorted({name for s in scenes for name in unlicensed(s.facts.get("inputs", {}))})
+    if lacking:
+        finding.note = f"no licence is known of {', '.join(lacking)} (synth render --licence)"
     finding.count(1 + len(scenes), problems)
 
 
 def _listed(root: Path, split: str) -> list[str]:
-    path = root / "data splits" / f"scenes_{split}.txt"
+    path = split_file(root, split)
     if not path.is_file():
         return []
     return [name for line in read_lines(path) if (name := line.strip())]
@@ -214,13 +223,13 @@ def _splits(root: Path, scenes: list[SceneFolder], finding: Finding) -> None:
     finding.count(count, problems)
 
 
-def _records(scene: SceneFolder, finding: Finding) -> list[int]:
-    """The rows that were kept."""
+def _records(scene: SceneFolder, finding: Finding) -> Kept:
+    """The rows that were kept, in order, with the rows of their further drones."""
     records = {record["row"]: record for record in scene.records()}
     rows, name = int(scene.facts["rows"]), scene.building
     problems = [f"{name} row {k}: has no record" for k in range(rows) if k not in records]
     problems += [f"{name} row {k}: the plan has {rows} rows" for k in records if k >= rows]
-    path = scene.root / "scenes" / f"{name}.csv"
+    path = scene_file(scene.root, name, ".csv")
     if path.is_file():
         table = list(csv.DictReader(read_lines(path)))
         told = {line.get("row"): line.get("kept") for line in table}
@@ -228,10 +237,10 @@ def _records(scene: SceneFolder, finding: Finding) -> list[int]:
             if told.get(str(k)) != str(record["kept"]):
                 problems.append(f"{name} row {k}: {path.name} says kept {told.get(str(k))}")
     finding.count(rows, problems)
-    return sorted(k for k, record in records.items() if record["kept"])
+    return {k: other_rows(record) for k, record in sorted(records.items()) if record["kept"]}
 
 
-def _poses(scene: SceneFolder, kept: list[int], finding: Finding) -> Moments | None:
+def _poses(scene: SceneFolder, kept: Kept, finding: Finding) -> Moments | None:
     path, rows = scene.flight, int(scene.facts["rows"])
     try:
         moments = scene.moments()
@@ -253,7 +262,7 @@ def _poses(scene: SceneFolder, kept: list[int], finding: Finding) -> Moments | N
 def _files(
     root: Path,
     scenes: list[SceneFolder],
-    kept: dict[str, list[int]],
+    kept: dict[str, Kept],
     finding: Finding,
     pairs: Finding,
 ) -> None:
@@ -285,6 +294,7 @@ def _sample(
     scene: SceneFolder,
     row: int,
     moments: Moments | None,
+    others: list[int | None],
     drone: Mesh | None,
     found: dict[str, Finding],
     threads: int,
@@ -325,6 +335,10 @@ def _sample(
                 continue
             pose = moments.R[row], moments.t[row]
             _pose(camera, pictures, where, pose, drone, found, able, threads)
+            further = [None if other is None else moments.other(row, other) for other in others]
+            for k, seen in enumerate([pose, *further]):
+                if seen is not None and "motion" in able:
+                    _motion(camera, pictures, where, k, seen, found["motion"])
 
 
 def _both(
@@ -390,13 +404,6 @@ def _pose(
     centre = np.zeros(3) if mesh is None else mesh.bounds.mean(axis=0)
     for step in (0, 1):
         place, view = f"{where} time {step}", (R[step], t[step])
-        if "motion" in able:
-            depth, drone = decode_depth(pictures[step, "depth"]), pictures[step, "instance"] >= 2
-            flow = decode_flow(pictures[step, "flow"])
-            other = (R[1 - step], t[1 - step])
-            error, count = measures.flow_against_pose(camera, depth, drone, flow, view, other)
-            if measures.enough(count):
-                found["motion"].add(error, place)
         x, y, z = camera.K @ (view[0] @ centre + view[1])
         if z <= 0:
             continue  # the check of the poses says so
@@ -407,12 +414,36 @@ def _pose(
                 out = [] if inside else [f"{place}: at pixel {x / z:.1f}, {y / z:.1f}"]
                 found["sync"].count(1, out)
         if "depth" in able:
-            depth, drone = decode_depth(pictures[step, "depth"]), pictures[step, "instance"] >= 2
+            depth, drone = (
+                decode_depth(pictures[step, "depth"]),
+                pictures[step, "instance"] == DRONE_ID,
+            )
             _unit(camera, depth, drone & (depth > 0), place, view, (mesh, z), found, threads)
         if mesh is not None and "silhouette" in able:
             held = _share(pictures[step, "silhouette"])
             drawn = silhouette(mesh, camera, view[0][None], view[1][None], threads=threads)[0]
             found["silhouette"].add(measures.silhouette_error(drawn, held), place)
+
+
+def _motion(
+    camera: Camera,
+    pictures: Pictures,
+    where: str,
+    number: int,
+    pose: tuple[Array, Array],
+    finding: Finding,
+) -> None:
+    """Flow of a drone against its depth and its poses at both times."""
+    R, t = pose
+    for step in (0, 1):
+        depth = decode_depth(pictures[step, "depth"])
+        drone = pictures[step, "instance"] == DRONE_ID + number
+        flow = decode_flow(pictures[step, "flow"])
+        views = [(R[k], t[k]) for k in (step, 1 - step)]
+        error, count = measures.flow_against_pose(camera, depth, drone, flow, views[0], views[1])
+        if measures.enough(count):
+            name = f" drone {number + 1}" if number else ""
+            finding.add(error, f"{where} time {step}{name}")
 
 
 def _unit(

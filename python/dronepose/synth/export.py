@@ -3,35 +3,34 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dronepose._files import folder_beside
 from dronepose.camera import Camera
 from dronepose.render import gbuffer
 from dronepose.synth.dataset import SynthError
-from dronepose.synth.encode import DEPTH_SCALE, png
-from dronepose.synth.reading import drone_mesh, read_scenes
+from dronepose.synth.encode import DEPTH_SCALE, DRONE_ID, png
+from dronepose.synth.layout import scene_file
+from dronepose.synth.others import other_rows
+from dronepose.synth.reading import drone_meshes, read_scenes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    import os
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from dronepose.mesh import Mesh
     from dronepose.synth.reading import SceneFolder
 
+    Array = NDArray[np.float64]
     Mask = NDArray[np.bool_]
 
 __all__ = ["complete_scenes", "export_bop", "rle_counts", "whole_folder"]
-
-OBJECT = 1
-DRONE = 2
-"""Of the drone in images of instances."""
 
 _MM = 1000.0
 _BOP_CENTRE = 0.5
@@ -41,6 +40,8 @@ _AXES = "xyz"
 @contextmanager
 def whole_folder(target: Path) -> Iterator[Path]:
     """A hidden folder beside ``target`` that takes its name if all went well, or vanishes.
+
+    What killed exports have left there is swept.
 
     Args:
         target: The folder to be; it may be there, but empty.
@@ -54,14 +55,8 @@ def whole_folder(target: Path) -> Iterator[Path]:
     """
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise SynthError(f"{target}: is there already; choose another folder, or remove it")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
-    part.mkdir()
-    try:
+    with folder_beside(target) as part:
         yield part
-        part.replace(target)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def complete_scenes(root: str | os.PathLike[str]) -> list[tuple[SceneFolder, list[dict[str, Any]]]]:
@@ -81,7 +76,7 @@ def complete_scenes(root: str | os.PathLike[str]) -> list[tuple[SceneFolder, lis
     for scene in read_scenes(root):
         if scene.facts.get("complete") is not True:
             raise SynthError(
-                f"{scene.root / 'scenes' / scene.building}.json: the scene is not complete; "
+                f"{scene_file(scene.root, scene.building)}: the scene is not complete; "
                 "render it once more to finish it"
             )
         records = [record for record in scene.records() if record["kept"]]
@@ -117,7 +112,7 @@ def export_bop(
     root: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
-    mesh: str | None = None,
+    mesh: str | Sequence[str] | None = None,
     threads: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
@@ -127,23 +122,25 @@ def export_bop(
 
         SPLIT/000001/rgb, depth, mask, mask_visib
                      scene_camera.json, scene_gt.json, scene_gt_info.json, scene_gt_coco.json
-        models/obj_000001.ply, models_info.json
+        models/obj_000001.ply, ..., models_info.json
         export.json                                 which image is which row and time of which scene
 
     Lengths are millimetres. ``cam_K`` has whole numbers at pixel centres, half a pixel less than
     ours, as :class:`dronepose.data.BopDataset` expects. Images of colour and depth are those of
     the data set, byte for byte. ``mask`` is what the drone covers at the centres of the pixels,
-    hidden or not, ``mask_visib`` what is seen of it. As in the BOP toolkit, ``px_count_all`` and
-    ``bbox_obj`` count what is outside of the image too, on a canvas of three times its size, and
-    the width of ``bbox_obj`` and ``bbox_visib`` is the last column minus the first. In
+    hidden or not, ``mask_visib`` what is seen of it. Where there are further drones, each is an
+    object of its own, ``obj_id`` 2 and on; one that an image lacks is not in its lists. As in the
+    BOP toolkit, ``px_count_all`` and ``bbox_obj`` count what is outside of the image too, on a
+    canvas of three times its size, and the width of ``bbox_obj`` and ``bbox_visib`` is the last
+    column minus the first. In
     ``scene_gt_coco.json`` boxes hold whole pixels, and masks are those of what is seen, as run
     lengths that are not compressed.
 
     Args:
         root: The data set.
         out: The folder to write; written whole or not at all.
-        mesh: The drone's mesh file, in the unit that it was rendered with; ``None`` knows the
-            project's example drone.
+        mesh: The drone's mesh file, in the unit that it was rendered with, or those of all drones
+            in their order; where there are fewer, the project's example drone is known.
         threads: Number of threads, 0 for one a core.
         progress: Called with the number of samples that are done and of all.
 
@@ -160,30 +157,34 @@ def export_bop(
         1000
     """
     scenes = complete_scenes(root)
-    drone, words = drone_mesh([scene for scene, _ in scenes], mesh)
-    if drone is None:
-        raise SynthError(f"mesh: {words}")
+    files = [mesh] if isinstance(mesh, str) else list(mesh or [])
+    drones, words = [], []
+    for drone, said in drone_meshes([scene for scene, _ in scenes], files):
+        if drone is None:
+            raise SynthError(f"mesh: {said}")
+        drones.append(drone)
+        words.append(said)
     total, done = sum(len(records) for _, records in scenes), 0
     table, images = [], []
     with whole_folder(Path(out)) as part:
         for number, (scene, records) in enumerate(scenes, 1):
-            writer = _Scene(scene, part / scene.split / f"{number:06d}", drone, threads)
+            writer = _Scene(scene, part / scene.split / f"{number:06d}", drones, threads)
             for record in records:
                 for step in (0, 1):
                     images.append([number, writer.count, record["row"], step])
-                    writer.add(int(record["row"]), step)
+                    writer.add(record, step)
                 done += 1
                 if progress is not None:
                     progress(done, total)
             writer.finish()
             table.append({"scene": number, "building": scene.building, "split": scene.split})
-        _models(part / "models", drone)
+        _models(part / "models", drones)
         facts = {
             "format": "bop",
             "images": len(images),
             "samples": total,
             "scenes": table,
-            "mesh": words,
+            "mesh": "; ".join(words),
         }
         columns = {"columns": ["scene", "image", "row", "time"], "rows": images}
         _json(part / "export.json", {**facts, "image_table": columns})
@@ -193,8 +194,10 @@ def export_bop(
 class _Scene:
     """One scene on its way to a BOP folder."""
 
-    def __init__(self, scene: SceneFolder, folder: Path, mesh: Mesh, threads: int) -> None:
-        self.scene, self.folder, self.mesh, self.threads = scene, folder, mesh, threads
+    def __init__(
+        self, scene: SceneFolder, folder: Path, drones: Sequence[Mesh], threads: int
+    ) -> None:
+        self.scene, self.folder, self.drones, self.threads = scene, folder, drones, threads
         self.moments = scene.moments()
         self.count = 0
         self.camera: Camera = scene.cameras["exocentric"]
@@ -213,12 +216,15 @@ class _Scene:
         for name in ("rgb", "depth", "mask", "mask_visib"):
             (folder / name).mkdir(parents=True)
 
-    def add(self, row: int, step: int) -> None:
+    def add(self, record: dict[str, Any], step: int) -> None:
         """One image."""
         scene, camera, number = self.scene, self.camera, self.count
-        if row >= len(self.moments.t):
-            raise SynthError(f"{scene.flight}: has no row {row}, of a kept sample")
-        R, t = self.moments.R[row, step], self.moments.t[row, step]
+        row, sources = int(record["row"]), other_rows(record)
+        if len(sources) >= len(self.drones):
+            raise SynthError(f"{scene.building} row {row}: drones that the manifest does not name")
+        for source in (row, *sources):
+            if source is not None and source >= len(self.moments.t):
+                raise SynthError(f"{scene.flight}: has no row {source}, of a kept sample")
         for folder, modality in (("rgb", "colour"), ("depth", "depth")):
             content = scene.file(row, step, "exocentric", modality).read_bytes()
             (self.folder / folder / f"{number:06d}.png").write_bytes(content)
@@ -229,45 +235,62 @@ class _Scene:
             if image.shape != size:
                 path = scene.file(row, step, "exocentric", modality)
                 raise SynthError(f"{path}: expected {size}, found {image.shape}")
-        seen: Mask = instance == DRONE
-        plane = gbuffer(self.mesh, self._large, R, t, channels=("mask",), threads=self.threads)
+        key = str(number)
+        self._cameras[key] = {"cam_K": self._K, "depth_scale": DEPTH_SCALE * _MM}
+        self._truth[key], self._info[key] = [], []
+        own = self.moments.R[row], self.moments.t[row]
+        for k, source in enumerate((row, *sources)):
+            if source is None:
+                continue
+            R, t = own if k == 0 else self.moments.other(row, source)
+            self._object(number, k, (R[step], t[step]), instance == DRONE_ID + k, depth > 0)
+        self._images.append(
+            {"id": number, "file_name": f"rgb/{number:06d}.png", "width": size[1],
+             "height": size[0]}
+        )  # fmt: skip
+        self.count += 1
+
+    def _object(
+        self, number: int, drone: int, pose: tuple[Array, Array], seen: Mask, valid: Mask
+    ) -> None:
+        """One drone in an image."""
+        (R, t), size, key = pose, seen.shape, str(number)
+        place = len(self._truth[key])
+        plane = gbuffer(
+            self.drones[drone], self._large, R, t, channels=("mask",), threads=self.threads
+        )
         assert plane.mask is not None
         large = plane.mask.copy()
         middle = large[size[0] : 2 * size[0], size[1] : 2 * size[1]]
         middle |= seen  # where rounding of the poses has moved an edge over a pixel's centre
         for folder, mask in (("mask", middle), ("mask_visib", seen)):
-            name = f"{number:06d}_000000.png"
+            name = f"{number:06d}_{place:06d}.png"
             (self.folder / folder / name).write_bytes(png(255 * mask.astype(np.uint8)))
-        key, count = str(number), int(large.sum())
-        self._cameras[key] = {"cam_K": self._K, "depth_scale": DEPTH_SCALE * _MM}
-        self._truth[key] = [
+        count = int(large.sum())
+        self._truth[key].append(
             {
                 "cam_R_m2c": R.ravel().tolist(),
                 "cam_t_m2c": (_MM * t).tolist(),
-                "obj_id": OBJECT,
+                "obj_id": drone + 1,
             }
-        ]
-        self._info[key] = [
+        )
+        self._info[key].append(
             {
                 "bbox_obj": _box(large, (size[1], size[0])),
                 "bbox_visib": _box(seen),
                 "px_count_all": count,
-                "px_count_valid": int((middle & (depth > 0)).sum()),
+                "px_count_valid": int((middle & valid).sum()),
                 "px_count_visib": int(seen.sum()),
                 "visib_fract": int(seen.sum()) / count if count else 0.0,
             }
-        ]
-        self._images.append(
-            {"id": number, "file_name": f"rgb/{number:06d}.png", "width": size[1],
-             "height": size[0]}
-        )  # fmt: skip
+        )
         if seen.any():
             left, top, width, height = _box(seen)
             self._annotations.append(
                 {
                     "id": len(self._annotations) + 1,
                     "image_id": number,
-                    "category_id": OBJECT,
+                    "category_id": drone + 1,
                     "iscrowd": 0,
                     "area": int(seen.sum()),
                     "bbox": [left, top, width + 1, height + 1],
@@ -276,18 +299,20 @@ class _Scene:
                     "height": size[0],
                 }
             )
-        self.count += 1
 
     def finish(self) -> None:
         """The files of the scene."""
-        drone = str(self.scene.facts["drone"])
+        name = str(self.scene.facts["drone"])
         _json(self.folder / "scene_camera.json", self._cameras)
         _json(self.folder / "scene_gt.json", self._truth)
         _json(self.folder / "scene_gt_info.json", self._info)
         coco = {
             "info": {"description": f"{self.scene.building} ({self.scene.split})"},
             "licenses": [],
-            "categories": [{"id": OBJECT, "name": str(OBJECT), "supercategory": drone}],
+            "categories": [
+                {"id": k, "name": str(k), "supercategory": name}
+                for k in range(1, len(self.drones) + 1)
+            ],
             "images": self._images,
             "annotations": self._annotations,
         }
@@ -303,8 +328,14 @@ def _box(mask: Mask, origin: tuple[int, int] = (0, 0)) -> list[int]:
     return [left - origin[0], top - origin[1], int(columns[-1]) - left, int(rows[-1]) - top]
 
 
-def _models(folder: Path, mesh: Mesh) -> None:
-    """The drone in millimetres, as ASCII PLY, and its measures."""
+def _models(folder: Path, drones: Sequence[Mesh]) -> None:
+    """The drones in millimetres, as ASCII PLY, and their measures."""
+    folder.mkdir()
+    facts = {str(k): _model(folder / f"obj_{k:06d}.ply", mesh) for k, mesh in enumerate(drones, 1)}
+    _json(folder / "models_info.json", facts)
+
+
+def _model(path: Path, mesh: Mesh) -> dict[str, float]:
     points = _MM * mesh.vertices
     lines = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
     lines += [f"property double {axis}" for axis in _AXES]
@@ -312,14 +343,12 @@ def _models(folder: Path, mesh: Mesh) -> None:
     lines.append("end_header")
     lines += [" ".join(repr(float(x)) for x in point) for point in points]
     lines += ["3 " + " ".join(str(int(k)) for k in face) for face in mesh.faces]
-    folder.mkdir()
-    text = "\n".join(lines) + "\n"
-    (folder / f"obj_{OBJECT:06d}.ply").write_text(text, encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     low, high = _MM * mesh.bounds
     facts = {"diameter": _MM * mesh.diameter}
     facts |= {f"min_{axis}": float(low[k]) for k, axis in enumerate(_AXES)}
     facts |= {f"size_{axis}": float(high[k] - low[k]) for k, axis in enumerate(_AXES)}
-    _json(folder / "models_info.json", {str(OBJECT): facts})
+    return facts
 
 
 def _json(path: Path, content: dict[str, Any]) -> None:

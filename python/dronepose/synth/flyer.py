@@ -66,7 +66,7 @@ class Flown:
         """Writes the flight as TUM: seconds, metres, quaternion x y z w; settings as comments.
 
         Args:
-            path: The file.
+            path: The file; its folder is made if it is not there.
 
         Returns:
             Nothing; the file is there, whole.

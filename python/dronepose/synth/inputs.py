@@ -11,20 +11,46 @@ import numpy as np
 from dronepose.camera import Camera
 from dronepose.mesh import Mesh
 from dronepose.render import Environment
-from dronepose.synth.asset import Asset, AssetError, load_asset, load_placements, merged
+from dronepose.synth._settings import axes as checked_axes
+from dronepose.synth._settings import flu_from_axes
+from dronepose.synth.asset import (
+    Asset,
+    AssetError,
+    load_asset,
+    load_placements,
+    merged,
+    placed_meshes,
+)
+from dronepose.synth.exr import read_exr
 from dronepose.synth.rooms import example_hall
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from dronepose.synth.plan import PlanTable
 
-__all__ = ["EXAMPLE", "cameras_of", "example_light", "read_drone", "read_panoramas", "read_scene"]
+__all__ = [
+    "EXAMPLE",
+    "cameras_of",
+    "example_light",
+    "read_drone",
+    "read_more_drones",
+    "read_panoramas",
+    "read_scene",
+]
 
 EXAMPLE = "example"
 """The name of what the project makes itself, in place of a file."""
 
-_PANORAMAS = (".hdr", ".png", ".jpg", ".jpeg")
+NO_TEXTURE = "-"
+"""In place of an image, where there is none."""
+
+MOST_DRONES = 100
+"""Further drones: their numbers are in images of 8 bits."""
+
+_PANORAMAS = (".hdr", ".exr", ".png", ".jpg", ".jpeg")
 
 
 def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[str, Any]]:
@@ -35,7 +61,7 @@ def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[
         metres_per_unit: Scale of a mesh.
 
     Returns:
-        The scene, and for the manifest its name and SHA-256.
+        The scene, and for the manifest its name and SHA-256, and those of placed meshes.
 
     Raises:
         AssetError: The file cannot be used.
@@ -50,8 +76,9 @@ def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[
     path = Path(name)
     if path.suffix.lower() == ".csv":
         scene = merged([asset for _, asset in load_placements(path)])
-    else:
-        scene = load_asset(path, metres_per_unit=metres_per_unit).look(lit=False)
+        meshes = {name: _sha256(path.parent / name) for name in placed_meshes(path)}
+        return scene, {**_facts(path), "meshes": meshes}
+    scene = load_asset(path, metres_per_unit=metres_per_unit).look(lit=False)
     return scene, _facts(path)
 
 
@@ -102,14 +129,84 @@ def read_drone(
     return drone.look(lit=True, roughness=roughness, metallic=metallic), facts
 
 
+def read_more_drones(
+    names: Sequence[str],
+    *,
+    model_axes: str = "flu",
+    axes: Sequence[str] = (),
+    metres_per_unit: Sequence[float] = (),
+    textures: Sequence[str] = (),
+    roughness: float = 0.45,
+    metallic: float = 0.0,
+) -> tuple[list[Asset], list[dict[str, Any]]]:
+    """Further drones by their files, turned to the axes of the plan's drone.
+
+    Args:
+        names: The files, or ``"example"``.
+        model_axes: Which way x, y and z of the plan's drone point.
+        axes: The same of each file, or one for all; none: as the plan's (``flu`` of ``"example"``).
+        metres_per_unit: Of each, or one for all; none: 1.
+        textures: An image for each, ``-`` for none; or none at all.
+        roughness: Of their surfaces, 0 for a mirror to 1.
+        metallic: 0 for plastics, 1 for metals.
+
+    Returns:
+        The drones, and for the manifest what :func:`read_drone` says, with ``turned``, the rotation
+        ``plan_from_file``, where the axes differ.
+
+    Raises:
+        AssetError: A file cannot be used.
+        FileNotFoundError: There is no such file.
+        ValueError: A list is of another length, or axes are of another handedness.
+
+    Example:
+        >>> drones, facts = read_more_drones(["example"], model_axes="luf")
+        >>> facts[0]["turned"]
+        [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
+    """
+    count = len(names)
+    if count > MOST_DRONES:
+        raise ValueError(f"more_drones: expected at most {MOST_DRONES}, got {count}")
+    own = ["flu" if name == EXAMPLE else model_axes for name in names]
+    turned_from = _for_each("axes", axes, count) or own
+    units = _for_each("metres_per_unit", metres_per_unit, count) or [1.0] * count
+    images = _for_each("textures", textures, count) or [NO_TEXTURE] * count
+    plan_from_flu = flu_from_axes(model_axes).T
+    drones, facts = [], []
+    for name, letters, unit, image in zip(names, turned_from, units, images, strict=True):
+        drone, said = read_drone(
+            name,
+            metres_per_unit=unit,
+            texture=None if image == NO_TEXTURE else image,
+            roughness=roughness,
+            metallic=metallic,
+        )
+        turn = plan_from_flu @ flu_from_axes(checked_axes("axes", letters)) + 0.0
+        if np.linalg.det(turn) < 0:
+            raise ValueError(f"axes: {letters} of {name} are mirrored against {model_axes}")
+        if not np.array_equal(turn, np.eye(3)):
+            drone = drone.moved(np.column_stack([turn, np.zeros(3)]))
+            said["turned"] = turn.tolist()
+        drones.append(drone)
+        facts.append(said)
+    return drones, facts
+
+
+def _for_each(name: str, values: Sequence[Any], count: int) -> list[Any]:
+    """A value for each of so many, of as many or of one."""
+    if len(values) not in (0, 1, count):
+        raise ValueError(f"{name}: expected {count} values, one for each drone, got {len(values)}")
+    return list(values) * count if len(values) == 1 else list(values)
+
+
 def read_panoramas(
     folder: str | None, *, threads: int = 0
 ) -> tuple[dict[str, Environment], dict[str, Any]]:
     """The panoramas of a folder by name, or two halls of light of our own.
 
     Args:
-        folder: Holds ``.hdr`` (Radiance), or 8-bit images in sRGB, twice as wide as high; one file
-            is one panorama; ``None`` is :func:`example_light`.
+        folder: Holds ``.hdr`` (Radiance), ``.exr`` (OpenEXR), or 8-bit images in sRGB, twice as
+            wide as high; one file is one panorama; ``None`` is :func:`example_light`.
         threads: Number of threads, 0 for one a core.
 
     Returns:
@@ -118,6 +215,7 @@ def read_panoramas(
     Raises:
         AssetError: A file cannot be read, or there is none.
         FileNotFoundError: There is no such folder.
+        ImportError: A file is EXR, and the package OpenEXR is missing.
 
     Example:
         >>> sorted(read_panoramas(None)[0])
@@ -139,10 +237,18 @@ def read_panoramas(
         if image.shape[1] != 2 * image.shape[0]:
             raise AssetError(f"{file}: expected twice as wide as high, got {image.shape[1::-1]}")
         found[file.stem] = Environment(image, threads=threads)
-    return found, {file.stem: _facts(file)["sha256"] for file in files}
+    return found, {file.stem: _sha256(file) for file in files}
 
 
 def _radiance(path: Path) -> NDArray[np.float32]:
+    rgb = read_exr(path) if path.suffix.lower() == ".exr" else _decoded(path)
+    if not np.isfinite(rgb).all() or rgb.min() < 0:
+        raise AssetError(f"{path}: holds a radiance that is negative or not finite")
+    return np.ascontiguousarray(rgb)
+
+
+def _decoded(path: Path) -> NDArray[np.float32]:
+    """What OpenCV reads, as linear RGB."""
     import cv2
 
     content = np.frombuffer(path.read_bytes(), np.uint8)
@@ -153,9 +259,7 @@ def _radiance(path: Path) -> NDArray[np.float32]:
     if image.dtype == np.uint8:
         x = rgb / 255
         rgb = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    if not np.isfinite(rgb).all() or rgb.min() < 0:
-        raise AssetError(f"{path}: holds a radiance that is negative or not finite")
-    return np.ascontiguousarray(rgb)
+    return rgb
 
 
 def example_light(kind: str = "warm") -> Environment:
@@ -206,4 +310,8 @@ def cameras_of(plan: PlanTable) -> tuple[Camera, Camera]:
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return {"file": path.name, "sha256": _sha256(path)}
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

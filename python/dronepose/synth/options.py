@@ -210,7 +210,17 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add("--drone-name", metavar="NAME", help="folder of the drone [the file's name]")
     add("--roughness", type=float, default=0.45, metavar="R", help="of the drone, 0 to 1 [0.45]")
     add("--metallic", type=float, default=0.0, metavar="M", help="of the drone, 0 to 1 [0]")
-    add("--panoramas", metavar="DIR", help="light: .hdr, or images [two made by dronepose]")
+    add("--more-drones", nargs="+", default=(), metavar="FILE", help="meshes of further drones")
+    text = "metres of their units, one each or one for all [1]"
+    add("--more-units", type=float, nargs="+", default=(), metavar="M", help=text)
+    text = "where their x, y, z point, one each or one for all [as the plan's]"
+    add("--more-axes", nargs="+", default=(), metavar="FLU", help=text)
+    text = "one each, - for none [none]"
+    add("--more-textures", nargs="+", default=(), metavar="IMAGE", help=text)
+    add("--apart", type=float, default=0.6, metavar="M", help="of two drones, metres [0.6]")
+    add("--panoramas", metavar="DIR", help="light: .hdr, .exr, or images [two made by dronepose]")
+    text = "what an input is under, such as scene=CC-BY-4.0 [LICENSE files are looked for]"
+    add("--licence", action="append", default=[], metavar="NAME=ID", help=text)
     add("--building", metavar="NAME", help="name of the scene [the plan's, or the scene's file]")
     add("--split", choices=("train", "val", "test"), help="[the plan's, or train]")
     add("--date", default="flight", metavar="NAME", help="name of the flight [flight]")
@@ -228,6 +238,8 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     add("--samples", type=int, default=3, metavar="N", help="points along a pixel's side [3]")
     add("--workers", type=int, default=0, metavar="N", help="rows at a time [one a core]")
     add("--shard", default="0/1", metavar="K/N", help="every N-th row from the K-th on [0/1]")
+    text = "scheduler of a running Dask cluster, or its file: its workers render"
+    add("--dask", metavar="ADDRESS", help=text)
 
 
 def add_fly_options(parser: argparse.ArgumentParser) -> None:
@@ -246,3 +258,19 @@ def add_fly_options(parser: argparse.ArgumentParser) -> None:
     add("--clearance", type=float, default=0.4, metavar="M", help="to walls, metres [0.4]")
     add("--variance", type=float, default=0.3, metavar="X", help="the pilot's, 0 to 1 [0.3]")
     add("--seed", type=int, default=0, metavar="S", help="of the flight [0]")
+
+
+def add_table_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``dronepose synth table``.
+
+    Args:
+        parser: The parser.
+    """
+    add = parser.add_argument
+    add("data", type=Path, metavar="DATA", help="folder of the data set")
+    add("--name", metavar="TEXT", help="head of its column [the folder's name]")
+    text = "such as Indoor, which no file says [unknown]"
+    add("--environment", default="unknown", metavar="TEXT", help=text)
+    text = "such as photorealistic, as the paper calls renderings of scans [synthetic]"
+    add("--data-type", default="synthetic", metavar="TEXT", help=text)
+    add("--latex", action="store_true", help="LaTeX in place of Markdown")

@@ -179,6 +179,31 @@ class Plan:
         funnel = self.funnel.and_then(rule, int((~kept).sum()), asks, paper)
         return Plan(self._native.only(kept.tolist()), funnel, self.facts)
 
+    def some(self, count: int) -> Plan:
+        """The plan with a few of its samples, evenly spread, to try things out.
+
+        Args:
+            count: How many; all where there are not more.
+
+        Returns:
+            Another plan, with a step ``some`` more in its funnel.
+
+        Raises:
+            ValueError: ``count`` is below 1, or it was done before.
+
+        Example:
+            >>> from dronepose.synth import Track
+            >>> x = [[0.02 * k, 0, 1.5] for k in range(9)]
+            >>> plan = make_plan(Track(x, [[1, 0, 0, 0]] * 9), [[0, 1, 1.5]])
+            >>> len(plan), len(plan.some(3))
+            (6, 3)
+        """
+        if count < 1:
+            raise ValueError(f"count: expected at least 1, got {count}")
+        mask = np.zeros(len(self), bool)
+        mask[np.linspace(0, len(self) - 1, min(count, len(self))).astype(int)] = True
+        return self.keep(mask, "some", f"{count} samples, evenly spread", "")
+
     def manifest(self) -> dict[str, Any]:
         """What was done, for JSON: inputs with SHA-256, conventions, settings, seed, versions.
 

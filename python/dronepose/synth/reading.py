@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,30 +15,25 @@ from dronepose.geometry import matrix_from_quat_xyzw
 from dronepose.mesh import Mesh
 from dronepose.synth.dataset import SynthError
 from dronepose.synth.encode import read_png
+from dronepose.synth.layout import MODALITIES, flight_file, image_file, record_file, scene_files
+from dronepose.synth.others import other_rows
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
 
 __all__ = [
-    "MODALITIES",
     "Moments",
     "SceneFolder",
     "drone_mesh",
+    "drone_meshes",
     "read_lines",
     "read_scenes",
-    "ticker",
 ]
-
-MODALITIES = {
-    "exocentric": ("colour", "depth", "normal_map", "flow", "silhouette", "matte", "instance"),
-    "egocentric": ("colour", "depth", "normal_map", "flow"),
-}
-"""What a kept sample has of each view, at both times."""
 
 _END = b"IEND\xaeB`\x82"
 _OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0])
@@ -54,11 +48,31 @@ class Moments:
         t: ``(N, 2, 3)`` translations, metres.
         norm: ``(N, 3)`` norms of the quaternions as they are in the file: of the drone at both
             times and of the camera.
+        drone: ``world_from_model``, ``(N, 2, 3, 3)`` and ``(N, 2, 3)``.
+        camera: ``cam_from_world``, rotations ``(N, 3, 3)``, and the cameras' places ``(N, 3)``.
     """
 
     R: Array
     t: Array
     norm: Array
+    drone: tuple[Array, Array]
+    camera: tuple[Array, Array]
+
+    def other(self, row: int, source: int) -> tuple[Array, Array]:
+        """``cam_from_model`` of a drone that flies as that of another row, seen from a row.
+
+        Args:
+            row: Whose camera.
+            source: Whose drone.
+
+        Returns:
+            ``(2, 3, 3)`` and ``(2, 3)``, at both times.
+
+        Raises:
+            IndexError: There is no such row.
+        """
+        (turn, place), (camera, eye) = self.drone, self.camera
+        return camera[row] @ turn[source], (place[source] - eye[row]) @ camera[row].T
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +102,11 @@ class SceneFolder:
     @property
     def flight(self) -> Path:
         """The file of the poses."""
-        place = self.root / "trajectories" / self.building / str(self.facts["date"])
-        return place / "poses_blender.txt"
+        return flight_file(self.root, self.facts)
 
     def file(self, row: int, step: int, view: str, modality: str) -> Path:
         """An image of a sample."""
-        name = f"{row}_{self.facts['date']}_{step}_{modality}_{view}_0.png"
-        return self.root / str(self.facts["drone"]) / view / modality / self.building / name
+        return image_file(self.root, self.facts, row, step, view, modality)
 
     def files(self, row: int) -> list[Path]:
         """All images of a kept sample."""
@@ -131,10 +143,16 @@ class SceneFolder:
             SynthError: One is no JSON, or lacks its row or whether it was kept.
         """
         found = []
-        for path in sorted((self.root / "records" / self.building).glob("*.json")):
+        for path in sorted(record_file(self.root, self.building, 0).parent.glob("*.json")):
             record = _json(path)
             if not isinstance(record.get("row"), int) or record.get("kept") not in (0, 1):
                 raise SynthError(f"{path}: expected row, a whole number, and kept, 0 or 1")
+            try:
+                rows = other_rows(record)
+            except ValueError as error:
+                raise SynthError(f"{path}: {error}") from None
+            if any(row is not None and row >= self.facts["rows"] for row in rows):
+                raise SynthError(f"{path}: names a row that the plan does not have: {rows}")
             found.append(record)
         return found
 
@@ -181,7 +199,9 @@ class SceneFolder:
             ],
             axis=1,
         )
-        return Moments(R, t, norm)
+        places = np.stack([of("Position", "xyz", suffix) for suffix in ("_t1", "_t2")], axis=1)
+        drone = np.stack([first, second], axis=1), places
+        return Moments(R, t, norm, drone, (opencv, eye))
 
 
 def _flight_columns() -> list[str]:
@@ -205,7 +225,7 @@ def read_scenes(root: str | os.PathLike[str]) -> list[SceneFolder]:
         SynthError: A scene's file is broken.
     """
     root = Path(root)
-    paths = sorted((root / "scenes").glob("*.json"))
+    paths = scene_files(root)
     if not paths:
         raise FileNotFoundError(f"{root}: holds no rendered data set (no scenes/BUILDING.json)")
     found = []
@@ -250,31 +270,43 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def drone_mesh(scenes: list[SceneFolder], file: str | None) -> tuple[Mesh | None, str]:
-    """The mesh of a data set's drone, and words on where it is from.
+    """The mesh of a data set's first drone, and words on where it is from: :func:`drone_meshes`."""
+    return drone_meshes(scenes, [] if file is None else [file])[0]
+
+
+def drone_meshes(scenes: list[SceneFolder], files: Sequence[str]) -> list[tuple[Mesh | None, str]]:
+    """The meshes of a data set's drones, and words on where each is from.
 
     Args:
         scenes: Those of the data set.
-        file: The mesh file; scaled by the data set's ``metres_per_unit``. ``None`` knows the
-            project's example drone alone.
+        files: The mesh files in the order of the drones; scaled and turned as the data set says.
+            Where there are fewer, the project's example drone is known.
 
     Returns:
-        The mesh in metres, or ``None`` where a file is needed.
+        For each drone its mesh in metres, or ``None`` where a file is needed.
 
     Raises:
-        ValueError: The file holds no mesh.
-        OSError: It cannot be read.
+        ValueError: A file holds no mesh, or there are more files than drones.
+        OSError: One cannot be read.
     """
-    import hashlib
+    several = [scene.facts.get("inputs", {}) for scene in scenes]
+    drones = [[of.get("drone", {}), *of.get("more_drones", [])] for of in several]
+    if any(other != drones[0] for other in drones):
+        return [(None, "the scenes are of several drones")]
+    if len(files) > len(drones[0]):
+        raise SynthError(f"mesh: expected {len(drones[0])} files at most, got {len(files)}")
+    named = [*files, *[None] * (len(drones[0]) - len(files))]
+    return [_mesh_of(facts, file) for facts, file in zip(drones[0], named, strict=True)]
 
-    several = [dict(scene.facts.get("inputs", {}).get("drone", {})) for scene in scenes]
-    facts = several[0]
-    if any(other != facts for other in several):
-        return None, "the scenes are of several drones"
+
+def _mesh_of(facts: dict[str, Any], file: str | None) -> tuple[Mesh | None, str]:
+    """The mesh that a data set's inputs speak of."""
+    turn = np.array(facts.get("turned", np.eye(3)))
     if file is None:
         if facts.get("file") == "example":
             from dronepose.data.toyset import EXAMPLE_MESH
 
-            return Mesh.from_file(EXAMPLE_MESH), "the example drone"
+            return _turned(Mesh.from_file(EXAMPLE_MESH), turn), "the example drone"
         named = f" ({facts['file']} was rendered)" if "file" in facts else ""
         return None, f"needs --mesh FILE{named}"
     path, unit = Path(file), float(facts.get("metres_per_unit", 1.0))
@@ -288,24 +320,11 @@ def drone_mesh(scenes: list[SceneFolder], file: str | None) -> tuple[Mesh | None
 
         mesh = load_asset(path, metres_per_unit=unit).mesh
     same = hashlib.sha256(path.read_bytes()).hexdigest() == facts.get("sha256")
-    return mesh, f"{path.name}, {'the file' if same else 'NOT the file'} that was rendered"
+    words = f"{path.name}, {'the file' if same else 'NOT the file'} that was rendered"
+    return _turned(mesh, turn), words
 
 
-def ticker(what: str) -> Callable[[int, int], None]:
-    """A function that is called with the number done and of all, and says it from two seconds on.
-
-    Args:
-        what: What is counted.
-    """
-    begin = time.monotonic()
-    last = begin
-
-    def tick(done: int, total: int) -> None:
-        nonlocal last
-        now, here = time.monotonic(), sys.stderr.isatty()
-        if now - begin > 2 and (now - last > (1 if here else 10) or done == total):
-            last, rate = now, done / (now - begin)
-            text = f"{done}/{total} {what}, {rate:.1f} a second, {(total - done) / rate:.0f} s left"
-            print(text, end="\r" if here and done < total else "\n", file=sys.stderr, flush=True)
-
-    return tick
+def _turned(mesh: Mesh, turn: Array) -> Mesh:
+    if np.array_equal(turn, np.eye(3)):
+        return mesh
+    return Mesh(mesh.vertices @ turn.T, mesh.faces)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import re
 import sys
-import time
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dronepose.synth.dataset import RenderSettings, SynthError, write_dataset
-from dronepose.synth.inputs import cameras_of, read_drone, read_panoramas, read_scene
-from dronepose.synth.plan import read_plan
-from dronepose.synth.studio import Studio
+from dronepose._progress import Progress
+from dronepose.synth.cluster import Cluster
+from dronepose.synth.dataset import SynthError, write_dataset
+from dronepose.synth.licences import unlicensed
+from dronepose.synth.sample import RenderSettings
+from dronepose.synth.sources import Sources
 
 if TYPE_CHECKING:
     import argparse
@@ -39,59 +41,43 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         strength=tuple(args.strength),
         least_seen=args.seen,
         most_hole=args.hole,
+        apart_m=args.apart,
     )
     if not 1 <= args.samples <= 8:
         raise SynthError(f"--samples: expected 1 to 8, got {args.samples}")
-    stage("reading the plan")
-    plan = read_plan(args.plan)
-    cameras = cameras_of(plan)
-    stage("reading the scene")
-    scene, scene_facts = read_scene(args.scene, metres_per_unit=args.scene_unit)
-    stage("reading the drone")
-    drone, drone_facts = read_drone(
-        args.drone,
-        metres_per_unit=args.drone_unit,
-        texture=args.drone_texture,
-        roughness=args.roughness,
-        metallic=args.metallic,
-    )
-    stage("preparing the light")
-    environments, light_facts = read_panoramas(args.panoramas)
+    if args.dask is not None and args.workers:
+        raise SynthError("--dask, --workers: expected one of the two")
     workers = args.workers or _cores()
-    studio = Studio(scene, [drone], samples=args.samples, threads=1 if workers > 1 else 0)
-    building = args.building or plan.manifest.get("scene") or _name(args.scene)
+    given = {part.name: getattr(args, part.name) for part in fields(Sources)}
+    lists = {name: tuple(of) for name, of in given.items() if isinstance(of, list)}
+    sources = Sources(**{**given, **lists, "plan": str(args.plan)})
+    loaded = sources.load(threads=1 if workers > 1 else 0, stage=stage)
+    if lacking := unlicensed(loaded.facts):
+        print(f"no licence is known of {', '.join(lacking)}; --licence NAME=ID states one",
+              file=sys.stderr)  # fmt: skip
+    building = args.building or loaded.plan.manifest.get("scene") or _name(args.scene)
     stage("rendering")
-    begin, last, before = time.monotonic(), 0.0, -1
-
-    def progress(done: int, total: int) -> None:
-        nonlocal last, before
-        now = time.monotonic()
-        before = done - 1 if before < 0 else before  # of an earlier run
-        if now - begin > 2 and (now - last > 1 or done == total):
-            rate = (done - before) / (now - begin)
-            text = f"{done}/{total} rows, {rate:.1f} a second, {(total - done) / rate:.0f} s left"
-            end = "\r" if sys.stderr.isatty() else "\n"
-            if sys.stderr.isatty() or now - last > 10 or done == total:
-                print(text, end=end, file=sys.stderr, flush=True)
-                last = now
-
-    return write_dataset(
-        args.out,
-        plan,
-        studio,
-        cameras,
-        building=building,
-        drone=args.drone_name or _name(args.drone),
-        split=args.split or plan.manifest.get("split") or "train",
-        date=args.date,
-        environments=environments,
-        settings=settings,
-        inputs={"scene": scene_facts, "drone": drone_facts, "panoramas": light_facts,
-                "samples": args.samples},
-        shard=(int(match[1]), int(match[2])),
-        workers=workers,
-        progress=progress,
-    )  # fmt: skip
+    progress = Progress("rows")
+    try:
+        return write_dataset(
+            args.out,
+            loaded.plan,
+            loaded.studio,
+            loaded.cameras,
+            building=building,
+            drone=args.drone_name or _name(args.drone),
+            split=args.split or loaded.plan.manifest.get("split") or "train",
+            date=args.date,
+            environments=loaded.environments,
+            settings=settings,
+            inputs=loaded.facts,
+            shard=(int(match[1]), int(match[2])),
+            workers=workers,
+            cluster=None if args.dask is None else Cluster(args.dask, sources, say=stage),
+            progress=progress,
+        )
+    finally:
+        progress.close()
 
 
 def _cores() -> int:

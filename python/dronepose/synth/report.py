@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dronepose._files import beside
+from dronepose.synth._settings import flu_from_axes
 
 if TYPE_CHECKING:
     import os
@@ -19,14 +20,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_DIRECTIONS = {
-    "f": (1, 0, 0),
-    "b": (-1, 0, 0),
-    "l": (0, 1, 0),
-    "r": (0, -1, 0),
-    "u": (0, 0, 1),
-    "d": (0, 0, -1),
-}
 _LEVEL_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _DENSITY = "magma"
 
@@ -49,8 +42,7 @@ def yaw_pitch_roll_deg(R: Array, model_axes: str = "flu") -> Array:
         >>> yaw_pitch_roll_deg(np.array(away, dtype=float)).round(6).tolist()
         [[0.0, 0.0, 0.0]]
     """
-    flu_from_model = np.array([_DIRECTIONS[letter] for letter in model_axes], dtype=np.float64).T
-    m = _LEVEL_FROM_CAMERA @ R @ flu_from_model.T
+    m = _LEVEL_FROM_CAMERA @ R @ flu_from_axes(model_axes).T
     yaw = np.arctan2(m[:, 1, 0], m[:, 0, 0])
     pitch = -np.arcsin(np.clip(m[:, 2, 0], -1, 1))
     roll = np.arctan2(m[:, 2, 1], m[:, 2, 2])

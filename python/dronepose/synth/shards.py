@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dronepose.synth.dataset import FORMAT, SynthError
-from dronepose.synth.encode import ENCODINGS
+from dronepose.synth.encode import DRONE_ID, ENCODINGS
 from dronepose.synth.export import complete_scenes, whole_folder
-from dronepose.synth.reading import MODALITIES
+from dronepose.synth.layout import MODALITIES
+from dronepose.synth.others import other_rows
 
 if TYPE_CHECKING:
     import os
@@ -46,9 +47,10 @@ def export_webdataset(
 
     Images are those of the data set, byte for byte. In the JSON ``R`` and ``t`` are
     ``cam_from_model`` of the drone in the exocentric image, metres, OpenCV axes, ``K`` has pixel
-    centres at ``+ 0.5``, and ``facts`` is the sample's record. Headers hold no times and owners and
-    names are sorted, so that the same data set gives the same bytes. ``shards.json`` says what is
-    in which file, with SHA-256 and the encodings.
+    centres at ``+ 0.5``, ``facts`` is the sample's record, and ``others``, where there are further
+    drones, has the same of each with its number in ``instance``. Headers hold no times and owners
+    and names are sorted, so that the same data set gives the same bytes. ``shards.json`` says what
+    is in which file, with SHA-256 and the encodings.
 
     Args:
         root: The data set.
@@ -80,8 +82,9 @@ def export_webdataset(
         names[name] = scene.building
         moments = scene.moments()
         for record in records:
-            if record["row"] >= len(moments.t):
-                raise SynthError(f"{scene.flight}: has no row {record['row']}, of a kept sample")
+            for row in (record["row"], *other_rows(record)):
+                if row is not None and row >= len(moments.t):
+                    raise SynthError(f"{scene.flight}: has no row {row}, of a kept sample")
             work.setdefault(scene.split, []).append((scene, moments, record))
     total, done = sum(map(len, work.values())), 0
     shards: list[dict[str, Any]] = []
@@ -129,7 +132,7 @@ def _add(
     archive: tarfile.TarFile, scene: SceneFolder, moments: Moments, record: dict[str, Any]
 ) -> None:
     """Both times of a sample."""
-    row = int(record["row"])
+    row, sources = int(record["row"]), other_rows(record)
     for step in (0, 1):
         key = f"{_name(scene)}_{row:06d}_{step}"
         files = {
@@ -151,6 +154,13 @@ def _add(
             "ego_K": scene.cameras["egocentric"].K.tolist(),
             "facts": record,
         }
+        if sources:
+            facts["others"] = [
+                {"instance": DRONE_ID + k, "R": R[step].tolist(), "t": t[step].tolist()}
+                for k, source in enumerate(sources, 1)
+                if source is not None
+                for R, t in [moments.other(row, source)]
+            ]
         contents[f"{key}.json"] = (json.dumps(facts, sort_keys=True) + "\n").encode()
         for name, content in sorted(contents.items()):
             header = tarfile.TarInfo(name)  # no time, no owner

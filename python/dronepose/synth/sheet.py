@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from dronepose.synth.encode import decode_depth, decode_flow, decode_normal, png, read_png
+from dronepose.synth.layout import image_file, record_file, scene_file, scene_files
 
 if TYPE_CHECKING:
     import os
@@ -56,15 +57,15 @@ def draw_sheet(
         >>> Path("sheet.png").write_bytes(draw_sheet("synth"))  # doctest: +SKIP
     """
     root = Path(root)
-    scenes = sorted(path.stem for path in (root / "scenes").glob("*.json"))
+    scenes = [path.stem for path in scene_files(root)]
     if not scenes:
         raise FileNotFoundError(f"{root}: holds no rendered data set")
     building = building or scenes[0]
     if building not in scenes:
         raise ValueError(f"building: expected one of {', '.join(scenes)}, got {building!r}")
-    facts = json.loads((root / "scenes" / f"{building}.json").read_text(encoding="utf-8"))
+    facts = json.loads(scene_file(root, building).read_text(encoding="utf-8"))
     kept = []
-    for path in sorted((root / "records" / building).glob("*.json")):
+    for path in sorted(record_file(root, building, 0).parent.glob("*.json")):
         record = json.loads(path.read_text(encoding="utf-8"))
         if record["kept"]:
             kept.append(record["row"])
@@ -75,8 +76,7 @@ def draw_sheet(
     for row in chosen:
         cells = []
         for view, modality in COLUMNS:
-            name = f"{row}_{facts['date']}_0_{modality}_{view}_0.png"
-            file = root / facts["drone"] / view / modality / building / name
+            file = image_file(root, facts, row, 0, view, modality)
             cells.append(_cell(shown(modality, file.read_bytes()), width))
         tall = max(len(cell) for cell in cells)
         lines.append(np.hstack([_padded(cell, tall) for cell in cells]))

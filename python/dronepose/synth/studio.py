@@ -37,9 +37,11 @@ class Frame:
         colour: ``(H, W, 3)`` uint8, sRGB; black where the scene has a hole.
         depth: ``(H, W)`` float32, ``z`` in the camera frame in metres, 0 where nothing is seen.
         normal: ``(H, W, 3)`` float32, unit, camera frame, towards the camera; zeros where nothing.
-        instance: ``(H, W)`` int32, :data:`SCENE`, :data:`DRONE` and on, or -1.
-        matte: ``(H, W)`` float32, the share of the pixel in which drones are seen.
-        silhouette: ``(H, W)`` float32, the exact share that the drones cover, whatever hides them.
+        instance: ``(H, W)`` int32, :data:`SCENE`, :data:`DRONE` and on in the order of the
+            studio's drones, or -1.
+        matte: ``(H, W)`` float32, the share of the pixel in which the first drone is seen; the
+            scene and the other drones may hide it.
+        silhouette: ``(H, W)`` float32, the exact share that it covers, whatever hides it.
         hole: Share of the image in which nothing is seen.
     """
 
@@ -53,7 +55,7 @@ class Frame:
 
     @property
     def seen(self) -> float:
-        """Share of the drones' area in the image that nothing hides, 0 to 1; 0 without drones.
+        """Share of the first drone's area in the image that nothing hides, 0 to 1; 0 without it.
 
         Example:
             >>> frame.seen  # doctest: +SKIP
@@ -101,7 +103,7 @@ class Studio:
         self,
         camera: Camera,
         cam_from_world: Pose,
-        world_from_drones: Sequence[Pose] = (),
+        world_from_drones: Sequence[Pose | None] = (),
         *,
         environment: Environment | None = None,
         strength: float = 0.5,
@@ -112,7 +114,8 @@ class Studio:
         Args:
             camera: Intrinsics and size.
             cam_from_world: ``R`` ``(3, 3)`` and ``t`` ``(3,)`` metres of the camera.
-            world_from_drones: ``R`` and ``t`` of each drone; none leaves the drones out.
+            world_from_drones: ``R`` and ``t`` of each drone, or ``None`` for one that is not there;
+                an empty list leaves all of them out.
             environment: Light of the drones; ``None`` shows their colours as they are.
             strength: Factor of its radiance.
             world_from_panorama: ``(3, 3)`` rotation of the panorama; ``None`` leaves it as it is.
@@ -129,29 +132,30 @@ class Studio:
             >>> frame.depth.shape  # doctest: +SKIP
             (240, 320)
         """
-        count = 1 + len(world_from_drones)
-        R, t = self._views(cam_from_world, world_from_drones)
+        which, R, t = self._views(cam_from_world, world_from_drones)
+        meshes = [self._meshes[k] for k in which]
         lights = None
-        materials = [list(m) for m in self._materials[:count]]
+        materials = [list(self._materials[k]) for k in which]
         if environment is not None:
             turn = np.eye(3) if world_from_panorama is None else np.asarray(world_from_panorama)
             lights = Light(environment, strength, turn.T @ np.asarray(cam_from_world[0]).T)
-        elif count > 1:
-            materials[1:] = [list(drone.look(lit=False).materials) for drone in self.drones]
+        else:
+            drones = [self.drones[k - 1] for k in which[1:]]
+            materials[1:] = [list(drone.look(lit=False).materials) for drone in drones]
         seen = render.colour(
-            self._meshes[:count],
+            meshes,
             camera,
             R,
             t,
             materials=materials,
-            material_of_face=self._of_face[:count],
-            uv=self._uv[:count],
+            material_of_face=[self._of_face[k] for k in which],
+            uv=[self._uv[k] for k in which],
             lights=lights,
             samples=self._samples,
             threads=self._threads,
         )
         planes = render.gbuffer(
-            self._meshes[:count],
+            meshes,
             camera,
             R,
             t,
@@ -163,18 +167,17 @@ class Studio:
         shape = (camera.height, camera.width)
         matte = np.zeros(shape, np.float32)
         silhouette = np.zeros(shape, np.float32)
-        if count > 1:
-            matte = seen.shares[1:].sum(axis=0)
-            each = [
-                render.silhouette(mesh, camera, R[None, k], t[None, k], threads=self._threads)[0]
-                for k, mesh in enumerate(self._meshes[1:count], 1)
-            ]
-            silhouette = (1 - np.prod([1 - mask for mask in each], axis=0)).astype(np.float32)
+        if which[1:2] == [DRONE]:
+            matte = seen.shares[1]
+            covered = render.silhouette(
+                meshes[1], camera, R[None, 1], t[None, 1], threads=self._threads
+            )[0]
+            silhouette = 1 - (1 - covered)  # as the records of earlier data sets are rounded
         return Frame(
             colour=render.srgb_bytes(seen.rgb),
             depth=planes.depth,
             normal=planes.normal,
-            instance=planes.object,
+            instance=np.array([*which, -1], np.int32)[planes.object],
             matte=matte,
             silhouette=silhouette,
             hole=max(0.0, round(float(1 - seen.share.mean(dtype=np.float64)), 9)),
@@ -183,8 +186,8 @@ class Studio:
     def flow(
         self,
         camera: Camera,
-        first: tuple[Pose, Sequence[Pose]],
-        second: tuple[Pose, Sequence[Pose]],
+        first: tuple[Pose, Sequence[Pose | None]],
+        second: tuple[Pose, Sequence[Pose | None]],
     ) -> Flow:
         """Optical flow from one moment to another, of the scene and the drones.
 
@@ -197,25 +200,30 @@ class Studio:
             Flow in pixels, with what is hidden, outside and behind in the second image.
 
         Raises:
-            ValueError: The numbers of drones differ.
+            ValueError: The drones are not the same ones.
 
         Example:
             >>> moved = studio.flow(camera, (pose, [drone]), (pose, [drone_next]))  # doctest: +SKIP
         """
-        if len(first[1]) != len(second[1]):
-            raise ValueError("second: expected as many drones as in the first")
-        count = 1 + len(first[1])
-        (R0, t0), (R1, t1) = self._views(*first), self._views(*second)
-        return render.flow(self._meshes[:count], camera, R0, t0, R1, t1, threads=self._threads)
+        (which, R0, t0), (other, R1, t1) = self._views(*first), self._views(*second)
+        if which != other:
+            raise ValueError("second: expected the same drones as in the first")
+        meshes = [self._meshes[k] for k in which]
+        return render.flow(meshes, camera, R0, t0, R1, t1, threads=self._threads)
 
-    def _views(self, cam_from_world: Pose, drones: Sequence[Pose]) -> Pose:
-        """``cam_from_model`` of the scene and of each drone, ``(M, 3, 3)`` and ``(M, 3)``."""
+    def _views(
+        self, cam_from_world: Pose, drones: Sequence[Pose | None]
+    ) -> tuple[list[int], Array, Array]:
+        """Which meshes are there, 0 is the scene, and their ``cam_from_model``."""
         if len(drones) not in (0, len(self.drones)):
             raise ValueError(f"world_from_drones: expected {len(self.drones)}, got {len(drones)}")
         R, t = (np.asarray(x, dtype=np.float64) for x in cam_from_world)
-        rotations, translations = [R], [t]
-        for place in drones:
+        which, rotations, translations = [0], [R], [t]
+        for k, place in enumerate(drones, 1):
+            if place is None:
+                continue
             turn, shift = (np.asarray(x, dtype=np.float64) for x in place)
+            which.append(k)
             rotations.append(R @ turn)
             translations.append(R @ shift + t)
-        return np.stack(rotations), np.stack(translations)
+        return which, np.stack(rotations), np.stack(translations)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 import time
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from dronepose._files import write_text
+from dronepose._progress import Progress
 from dronepose.data import PoseDataModule
 from dronepose.data._poses import poses_csv
 from dronepose.data.module import one_thread
@@ -59,8 +60,8 @@ def predict(
     )
     names: list[str] = []
     rotations, translations = [], []
-    begin, shown = time.monotonic(), 0.0
-    with torch.inference_mode():
+    with torch.inference_mode(), closing(Progress("images")) as progress:
+        progress(0, len(dataset))
         for batch in loader:
             R, t = model(batch["image"].to(device), batch["K"].to(device))
             finite = R.isfinite().all(dim=(1, 2)) & t.isfinite().all(dim=1)
@@ -72,12 +73,7 @@ def predict(
             names += batch["name"]
             rotations.append(R.double().cpu().numpy())
             translations.append(t.double().cpu().numpy())
-            now = time.monotonic()
-            if now - begin > 2 and now - shown > 0.2 and sys.stderr.isatty():
-                print(f"\r{len(names)} of {len(dataset)} images", end="", file=sys.stderr)
-                shown = now
-    if shown:
-        print(file=sys.stderr)
+            progress(len(names), len(dataset))
     if not names:
         return names, np.zeros((0, 3, 3)), np.zeros((0, 3))
     return names, np.concatenate(rotations), np.concatenate(translations)
