@@ -176,11 +176,13 @@ def test_rules_that_look_at_pictures_remove_samples(table, studio):
     cameras = cameras_of(table)
     for settings, rule in (
         (RenderSettings(least_seen=1.0, least_pixels=1e6), "hidden"),
+        (RenderSettings(least_depth_m=50.0), "blocked"),
         (RenderSettings(), ""),
     ):
         sample = render_sample(studio, table, 0, cameras, {}, settings)
         assert sample.facts["removed_by"] == rule
         assert bool(sample.files) == (rule == "")
+        assert 0.2 < sample.facts["depth_m"] < 20
     with pytest.raises(ValueError, match="strength"):
         RenderSettings(strength=(0.7, 0.3))
     with pytest.raises(ValueError, match="most_hole"):

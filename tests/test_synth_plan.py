@@ -172,11 +172,11 @@ def test_ids_and_draws_do_not_depend_on_what_else_is_kept(demo):
 def test_rules_that_need_pictures_have_their_place(demo):
     flight, anchors = read_flight(demo["flight"]), read_anchors(demo["anchors"])
     plan = make_plan(flight, anchors)
-    assert plan.funnel.pending == ("hidden", "invalid")
+    assert plan.funnel.pending == ("hidden", "invalid", "blocked")
     mask = np.arange(len(plan)) % 3 > 0
     seen = plan.keep(mask, "hidden", "half of the drone seen")
     assert [step.rule for step in seen.funnel.steps] == [*RULES, "hidden"]
-    assert (seen.funnel.pending, len(seen)) == (("invalid",), mask.sum())
+    assert (seen.funnel.pending, len(seen)) == (("invalid", "blocked"), mask.sum())
     kept = np.array(plan.table().ids)[mask].tolist()
     assert seen.table().ids == kept
     assert "invalid" in str(seen.funnel)

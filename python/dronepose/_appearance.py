@@ -46,6 +46,17 @@ class Texture:
                 f"image: expected uint8 of shape (H, W, 3 or 4), got {array.dtype} of {array.shape}"
             )
         self._native = _native.Texture(np.ascontiguousarray(array))
+        self._opacity = array[..., 3].copy() if array.shape[2] == 4 else None
+
+    @property
+    def opacity(self) -> NDArray[np.uint8] | None:
+        """``(H, W)``, 255 hides what is behind; ``None`` if all of it does.
+
+        Example:
+            >>> Texture(np.zeros((2, 4, 3), np.uint8)).opacity is None
+            True
+        """
+        return self._opacity
 
     @property
     def size(self) -> tuple[int, int]:

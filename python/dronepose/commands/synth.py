@@ -270,11 +270,11 @@ def _report(args: argparse.Namespace, stage: Stages) -> int:
 
 
 def _anchors(args: argparse.Namespace, stage: Stages) -> int:
-    from dronepose.mesh import Mesh
     from dronepose.synth import sample_free_space
+    from dronepose.synth.inputs import read_scene
 
     stage("reading the mesh")
-    mesh = None if args.mesh is None else Mesh.from_file(args.mesh)
+    mesh = None if args.mesh is None else read_scene(args.mesh)[0].mesh
     low, high = args.low, args.high
     if mesh is None and (low is None or high is None):
         raise ValueError("--low, --high: expected both, or --mesh")

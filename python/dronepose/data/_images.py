@@ -35,6 +35,19 @@ def read_rgb(path: Path, of: str) -> Bytes:
     return cast("Bytes", cv2.cvtColor(found, cv2.COLOR_BGR2RGB))
 
 
+def read_rgba(path: Path, of: str) -> Bytes:
+    """As :func:`read_rgb`, but ``(H, W, 4)`` where the image has opacity in 8 bits.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DataError: As :func:`read_rgb`.
+    """
+    found = cv2.imdecode(_content(path, of, "an image"), cv2.IMREAD_UNCHANGED)
+    if found is None or found.dtype != np.uint8 or found.ndim != 3 or found.shape[2] != 4:
+        return read_rgb(path, of)
+    return cast("Bytes", cv2.cvtColor(found, cv2.COLOR_BGRA2RGBA))
+
+
 def read_mask(path: Path, of: str) -> Bytes:
     """A mask file as ``(H, W)`` uint8; of an image in colour the largest channel.
 

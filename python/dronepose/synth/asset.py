@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dronepose._appearance import Material, Texture
+from dronepose._appearance import Material, Texture, srgb_linear
 from dronepose.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -167,6 +167,7 @@ def load_asset(
     *,
     metres_per_unit: float = 1.0,
     texture: str | os.PathLike[str] | None = None,
+    opacity: bool = False,
 ) -> Asset:
     """A mesh file with its materials, by trimesh: OBJ, GLB, DAE, PLY, STL and what else it reads.
 
@@ -177,6 +178,8 @@ def load_asset(
         path: The file; textures are looked for where it says.
         metres_per_unit: Scale, such as 0.001 for millimetres.
         texture: An image for all of it, where the file names none or one that is missing.
+        opacity: Whether textures may let what is behind shine through: by the fourth channel of
+            their image (in glTF if ``alphaMode`` says so). Scans keep it off: theirs means nothing.
 
     Returns:
         The asset, metres.
@@ -215,9 +218,9 @@ def load_asset(
     parts = [part for part in parts if len(part.faces)]
     if not parts:
         raise AssetError(f"{path}: holds no faces")
-    image = None if texture is None else Texture(_picture(Path(texture)))
+    image = None if texture is None else Texture(_picture(Path(texture), opacity=opacity))
     made: dict[int, Material] = {}
-    assets = [_asset(part, metres_per_unit, image, made) for part in parts]
+    assets = [_asset(part, metres_per_unit, image, made, opacity=opacity) for part in parts]
     return assets[0] if len(assets) == 1 else merged(assets)
 
 
@@ -330,7 +333,9 @@ def _number(text: str | None, place: str, column: str) -> float:
     return value
 
 
-def _asset(part: Any, unit: float, image: Texture | None, made: dict[int, Material]) -> Asset:
+def _asset(
+    part: Any, unit: float, image: Texture | None, made: dict[int, Material], *, opacity: bool
+) -> Asset:
     """A part of trimesh's."""
     mesh = Mesh(np.asarray(part.vertices, dtype=np.float64) * unit, part.faces)
     faces = np.asarray(part.faces)
@@ -345,7 +350,7 @@ def _asset(part: Any, unit: float, image: Texture | None, made: dict[int, Materi
     material = getattr(visual, "material", None)
     if material is not None:
         if id(material) not in made:
-            made[id(material)] = _material(material, has_uv=has_uv)
+            made[id(material)] = _material(material, has_uv=has_uv, opacity=opacity)
         return Asset(mesh, (made[id(material)],), np.zeros(len(faces), np.uint32), uv)
     colours = np.asarray(visual.face_colors)[:, :3]
     distinct, index = np.unique(colours, axis=0, return_inverse=True)
@@ -353,29 +358,41 @@ def _asset(part: Any, unit: float, image: Texture | None, made: dict[int, Materi
     return Asset(mesh, materials, index.reshape(-1).astype(np.uint32), uv)
 
 
-def _material(material: Any, *, has_uv: bool) -> Material:
+def _material(material: Any, *, has_uv: bool, opacity: bool) -> Material:
     """A material of trimesh's, simple or physically based."""
     picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if picture is not None and has_uv:
-        return Material(Texture(np.asarray(picture.convert("RGB"), dtype=np.uint8)))
+        mode = getattr(material, "alphaMode", "BLEND")  # of glTF alone; OPAQUE unless it is given
+        clear = opacity and picture.has_transparency_data and mode in ("BLEND", "MASK")
+        image = np.asarray(picture.convert("RGBA" if clear else "RGB"), dtype=np.uint8)
+        if clear and mode == "MASK":
+            least = getattr(material, "alphaCutoff", None)
+            image = image.copy()
+            image[..., 3] = 255 * (image[..., 3] >= 255 * (0.5 if least is None else least))
+        return Material(Texture(_without_needless(image)))
     colour = getattr(material, "main_color", None)
     return Material(_GREY if colour is None else _linear(np.asarray(colour)[:3]))
 
 
+def _without_needless(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An image without its opacity, if it is opaque."""
+    return image[..., :3] if image.shape[2] == 4 and image[..., 3].min() == 255 else image
+
+
 def _linear(colour: NDArray[Any]) -> tuple[float, float, float]:
     """Linear RGB of sRGB bytes."""
-    x = np.asarray(colour, dtype=np.float64) / 255
-    red, green, blue = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).tolist()
+    red, green, blue = srgb_linear(np.asarray(colour, dtype=np.uint8)).tolist()
     return red, green, blue
 
 
-def _picture(path: Path) -> NDArray[np.uint8]:
-    from dronepose.data._images import read_rgb
+def _picture(path: Path, *, opacity: bool) -> NDArray[np.uint8]:
+    from dronepose.data._images import read_rgb, read_rgba
 
     try:
-        return read_rgb(path, "a texture")
+        image = (read_rgba if opacity else read_rgb)(path, "a texture")
     except ValueError as error:
-        raise AssetError(str(error)) from None
+        raise AssetError(str(error)) from error
+    return _without_needless(image)
 
 
 def _with_samplers(content: bytes, path: Path) -> bytes:

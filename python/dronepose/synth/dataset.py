@@ -28,6 +28,7 @@ from dronepose.synth.layout import (
     split_file,
 )
 from dronepose.synth.resuming import difference, room, rows_there, tidy
+from dronepose.synth.rules import PIXEL_RULES
 from dronepose.synth.running import by_threads
 from dronepose.synth.sample import RenderSettings, render_sample
 
@@ -223,7 +224,7 @@ def _finish(root: Path, facts: dict[str, Any], plan: PlanTable) -> dict[str, Any
     """The flight's file, the lists of scenes and the manifest, once all rows are rendered."""
     building, count = facts["building"], len(plan)
     table = io.StringIO()
-    writer, kept, removed = None, 0, dict.fromkeys(("hidden", "invalid"), 0)
+    writer, kept, removed = None, 0, dict.fromkeys(PIXEL_RULES, 0)
     for row in range(count):
         record = json.loads(record_file(root, building, row).read_text(encoding="utf-8"))
         if writer is None:
@@ -235,10 +236,10 @@ def _finish(root: Path, facts: dict[str, Any], plan: PlanTable) -> dict[str, Any
             removed[record["removed_by"]] += 1
     write_text(scene_file(root, building, ".csv"), table.getvalue())
     write_text(flight_file(root, facts), _flight_text(plan))
-    steps = [
-        {"rule": "hidden", "came": count, "removed": removed["hidden"]},
-        {"rule": "invalid", "came": count - removed["hidden"], "removed": removed["invalid"]},
-    ]
+    steps, came = [], count
+    for rule, number in removed.items():
+        steps.append({"rule": rule, "came": came, "removed": number})
+        came -= number
     facts = {
         "format": FORMAT,
         "complete": True,

@@ -10,7 +10,7 @@ import numpy as np
 
 from dronepose.camera import Camera
 from dronepose.mesh import Mesh
-from dronepose.render import Environment
+from dronepose.render import Environment, srgb_linear
 from dronepose.synth._settings import axes as checked_axes
 from dronepose.synth._settings import flu_from_axes
 from dronepose.synth.asset import (
@@ -122,7 +122,7 @@ def read_drone(
         drone = Asset(mesh, materials, index.reshape(-1).astype(np.uint32), corners)
         facts: dict[str, Any] = {"file": EXAMPLE}
     else:
-        drone = load_asset(name, metres_per_unit=metres_per_unit, texture=texture)
+        drone = load_asset(name, metres_per_unit=metres_per_unit, texture=texture, opacity=True)
         facts = {**_facts(Path(name)), "metres_per_unit": metres_per_unit}
         if texture is not None:
             facts["texture"] = _facts(Path(texture))
@@ -255,11 +255,8 @@ def _decoded(path: Path) -> NDArray[np.float32]:
     image = None if not len(content) else cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 3:
         raise AssetError(f"{path}: cannot be read as a panorama in colour")
-    rgb = image[..., 2::-1].astype(np.float32)
-    if image.dtype == np.uint8:
-        x = rgb / 255
-        rgb = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    return rgb
+    rgb = image[..., 2::-1]
+    return srgb_linear(rgb) if image.dtype == np.uint8 else rgb.astype(np.float32)
 
 
 def example_light(kind: str = "warm") -> Environment:

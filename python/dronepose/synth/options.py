@@ -235,6 +235,8 @@ def add_render_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--seen", type=float, default=0.5, metavar="S", help="least share of the drone seen [0.5]")
     add("--hole", type=float, default=0.05, metavar="S", help="most share of scan holes [0.05]")
+    text = "least median depth of an image [0.2]"
+    add("--least-depth", type=float, default=0.2, metavar="M", help=text)
     add("--samples", type=int, default=3, metavar="N", help="points along a pixel's side [3]")
     add("--workers", type=int, default=0, metavar="N", help="rows at a time [one a core]")
     add("--shard", default="0/1", metavar="K/N", help="every N-th row from the K-th on [0/1]")

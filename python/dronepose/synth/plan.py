@@ -155,7 +155,7 @@ class Plan:
 
         Args:
             mask: ``(N,)`` bool, which samples it keeps.
-            rule: Its name; ``hidden`` and ``invalid`` are those that the paper has.
+            rule: Its name; ``hidden`` and ``invalid`` are those of the paper.
             asks: What it asks for, for the funnel.
             paper: Where the paper has it.
 
@@ -171,7 +171,7 @@ class Plan:
             >>> plan = make_plan(Track(x, [[1, 0, 0, 0]] * 9), [[0, 1, 1.5]])
             >>> some = plan.keep([True] * len(plan), "hidden", "at least half of the drone seen")
             >>> some.funnel.pending
-            ('invalid',)
+            ('invalid', 'blocked')
         """
         kept = np.asarray(mask, dtype=bool)
         if kept.shape != (len(self),):

@@ -41,6 +41,7 @@ def render_plan(args: argparse.Namespace, stage: Callable[[str], None]) -> dict[
         strength=tuple(args.strength),
         least_seen=args.seen,
         most_hole=args.hole,
+        least_depth_m=args.least_depth,
         apart_m=args.apart,
     )
     if not 1 <= args.samples <= 8:

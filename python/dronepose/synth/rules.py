@@ -19,8 +19,9 @@ EXO = Camera.from_fov(320, 240, horizontal_deg=64.69)
 """The exocentric camera of the paper (supplement, Dataset)."""
 EGO = Camera.from_fov(320, 180, horizontal_deg=85)
 """The drone's camera of the paper (supplement, Dataset)."""
-PIXEL_RULES = ("hidden", "invalid")
-"""Rules that need pictures: the drone hidden by the scene, the share of invalid pixels."""
+PIXEL_RULES = ("hidden", "invalid", "blocked")
+"""Rules that need pictures: the drone hidden by the scene, the share of invalid pixels, views
+of something right before the camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,7 +212,7 @@ class Funnel:
 
         Example:
             >>> Funnel().facts()
-            {'steps': [], 'pending': ['hidden', 'invalid']}
+            {'steps': [], 'pending': ['hidden', 'invalid', 'blocked']}
         """
         steps = [{**asdict(step), "left": step.left} for step in self.steps]
         return {"steps": steps, "pending": list(self.pending)}

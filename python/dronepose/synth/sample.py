@@ -39,6 +39,8 @@ class RenderSettings:
         least_seen: Rule *hidden*: share of the drone's area in each exocentric image that the scene
             must not hide, 0 to 1.
         most_hole: Rule *invalid*: share of an image in which the scan may have holes, 0 to 1.
+        least_depth_m: Rule *blocked*: median depth of each image, metres; what is nearer stands
+            right before the camera.
         least_pixels: Rule *hidden*: area of the drone in each exocentric image, pixels.
         apart_m: Least distance of two drones where there are several, metres.
 
@@ -54,6 +56,7 @@ class RenderSettings:
     strength: tuple[float, float] = (0.3, 0.7)
     least_seen: float = 0.5
     most_hole: float = 0.05
+    least_depth_m: float = 0.2
     least_pixels: float = 100.0
     apart_m: float = 0.6
 
@@ -66,8 +69,9 @@ class RenderSettings:
                 raise ValueError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
         if self.seed < 0 or not 0 <= self.least_pixels < 1e9:
             raise ValueError("seed, least_pixels: expected numbers >= 0")
-        if not 0 <= self.apart_m < 1e6:
-            raise ValueError(f"apart_m: expected metres >= 0, got {self.apart_m}")
+        for name in ("apart_m", "least_depth_m"):
+            if not 0 <= getattr(self, name) < 1e6:
+                raise ValueError(f"{name}: expected metres >= 0, got {getattr(self, name)}")
 
     def facts(self, drones: int = 1) -> dict[str, Any]:
         """For the manifest: what matters for so many drones.
@@ -164,6 +168,7 @@ def render_sample(
         "seen": min(frame.seen for frame in exo),
         "area_px": min(float(frame.silhouette.sum(dtype=np.float64)) for frame in exo),
         "hole": max(frame.hole for frame in exo),
+        "depth_m": min(frame.median_depth for frame in exo),
         "kept": 0,
         "removed_by": "",
         **others_facts(others, exo),
@@ -178,6 +183,9 @@ def render_sample(
     facts["hole"] = max(facts["hole"], *(frame.hole for frame in ego))
     if facts["hole"] > settings.most_hole:
         return Sample({}, {**facts, "removed_by": "invalid"})
+    facts["depth_m"] = min(facts["depth_m"], *(frame.median_depth for frame in ego))
+    if facts["depth_m"] < settings.least_depth_m:
+        return Sample({}, {**facts, "removed_by": "blocked"})
     moments: dict[str, list[tuple[Pose, list[Pose | None]]]] = {
         "exocentric": [(poses["exo"], places) for places in drones],
         "egocentric": [(poses["ego"], beside[0]), (poses["ego_next"], beside[1])],

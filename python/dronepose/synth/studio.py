@@ -9,6 +9,7 @@ import numpy as np
 
 from dronepose import render
 from dronepose.render import Light
+from dronepose.synth.opacity import opaque_part
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from dronepose.camera import Camera
     from dronepose.mesh import Mesh
-    from dronepose.render import Environment, Flow
+    from dronepose.render import Colours, Environment, Flow
     from dronepose.synth.asset import Asset
 
     Array = NDArray[np.float64]
@@ -64,13 +65,25 @@ class Frame:
         area = float(self.silhouette.sum(dtype=np.float64))
         return min(1.0, float(self.matte.sum(dtype=np.float64)) / area) if area > 0 else 0.0
 
+    @property
+    def median_depth(self) -> float:
+        """Of what is seen, metres; 0 if nothing is.
+
+        Example:
+            >>> frame.median_depth  # doctest: +SKIP
+            2.4
+        """
+        seen = self.depth[self.depth > 0]
+        return float(np.median(seen)) if seen.size else 0.0
+
 
 class Studio:
     """Draws a scene with drones in it.
 
     The scene shows the light of its textures. Drones are lit by a panorama and put into the scene
     by one z-buffer with ``samples x samples`` points a pixel, so that edges are smooth and what is
-    in front hides what is behind.
+    in front hides what is behind. Faces of drones whose texture has opacity show what is opaque
+    behind them; for all but the colours they are as solid as the others.
 
     Args:
         scene: The scene, frame of the world, metres, z up; its materials are drawn unlit.
@@ -93,11 +106,10 @@ class Studio:
         self.scene = scene.look(lit=False)
         self.drones = list(drones)
         self._threads, self._samples = threads, samples
-        assets = [self.scene, *self.drones]
-        self._meshes: list[Mesh] = [asset.mesh for asset in assets]
-        self._materials = [asset.materials for asset in assets]
-        self._of_face = [asset.material_of_face for asset in assets]
-        self._uv = [asset.uv for asset in assets]
+        self._assets = [self.scene, *self.drones]
+        self._meshes: list[Mesh] = [asset.mesh for asset in self._assets]
+        # What is seen through faces that are not opaque.
+        self._behind = [self.scene, *map(opaque_part, self.drones)]
 
     def frame(
         self,
@@ -134,26 +146,20 @@ class Studio:
         """
         which, R, t = self._views(cam_from_world, world_from_drones)
         meshes = [self._meshes[k] for k in which]
-        lights = None
-        materials = [list(self._materials[k]) for k in which]
+        light = None
         if environment is not None:
             turn = np.eye(3) if world_from_panorama is None else np.asarray(world_from_panorama)
-            lights = Light(environment, strength, turn.T @ np.asarray(cam_from_world[0]).T)
-        else:
-            drones = [self.drones[k - 1] for k in which[1:]]
-            materials[1:] = [list(drone.look(lit=False).materials) for drone in drones]
-        seen = render.colour(
-            meshes,
-            camera,
-            R,
-            t,
-            materials=materials,
-            material_of_face=[self._of_face[k] for k in which],
-            uv=[self._uv[k] for k in which],
-            lights=lights,
-            samples=self._samples,
-            threads=self._threads,
-        )
+            light = Light(environment, strength, turn.T @ np.asarray(cam_from_world[0]).T)
+        seen = self._colours(camera, [self._assets[k] for k in which], R, t, light)
+        rgb = seen.rgb
+        if seen.veil.any():
+            behind = [(place, self._behind[k]) for place, k in enumerate(which)]
+            rows = [place for place, asset in behind if asset is not None]
+            there = [asset for _, asset in behind if asset is not None]
+            rgb = (
+                rgb
+                + seen.veil[..., None] * self._colours(camera, there, R[rows], t[rows], light).rgb
+            )
         planes = render.gbuffer(
             meshes,
             camera,
@@ -174,13 +180,30 @@ class Studio:
             )[0]
             silhouette = 1 - (1 - covered)  # as the records of earlier data sets are rounded
         return Frame(
-            colour=render.srgb_bytes(seen.rgb),
+            colour=render.srgb_bytes(rgb),
             depth=planes.depth,
             normal=planes.normal,
             instance=np.array([*which, -1], np.int32)[planes.object],
             matte=matte,
             silhouette=silhouette,
             hole=max(0.0, round(float(1 - seen.share.mean(dtype=np.float64)), 9)),
+        )
+
+    def _colours(
+        self, camera: Camera, assets: list[Asset], R: Array, t: Array, light: Light | None
+    ) -> Colours:
+        shown = assets if light is not None else [asset.look(lit=False) for asset in assets]
+        return render.colour(
+            [asset.mesh for asset in shown],
+            camera,
+            R,
+            t,
+            materials=[list(asset.materials) for asset in shown],
+            material_of_face=[asset.material_of_face for asset in shown],
+            uv=[asset.uv for asset in shown],
+            lights=light,
+            samples=self._samples,
+            threads=self._threads,
         )
 
     def flow(
