@@ -66,7 +66,7 @@ def test_faces_are_told_by_their_texture():
     image = np.full((8, 8, 4), 255, np.uint8)
     image[:, 4:, 3] = 100  # the right half
     corners = np.array([[0.05, 0.1], [0.4, 0.1], [0.4, 0.9]])
-    uv = np.stack([corners, corners + [0.55, 0], corners + [0.2, 0]])
+    uv = np.stack([corners + np.array([right, 0]) for right in (0.0, 0.55, 0.2)])
     mesh = Mesh(np.random.default_rng(0).normal(size=(9, 3)), np.arange(9).reshape(3, 3))
     asset = Asset(mesh, (Material(Texture(image)),), np.zeros(3, np.uint32), uv)
     assert see_through(asset).tolist() == [False, True, True]

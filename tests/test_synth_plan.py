@@ -28,6 +28,8 @@ from support import EXAMPLES, loads, rows, run
 
 RULES = ("anchor", "distance", "neighbours", "ego-motion", "look-at", "border", "pair")
 
+QUADROTOR = EXAMPLES / "quadrotor.obj"
+
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
@@ -300,10 +302,10 @@ def test_the_same_command_writes_the_same_bytes(demo, tmp_path):
 
 def test_other_commands_read_the_plan(demo, tmp_path):
     camera = ["--camera", "252.7,252.7,160,120,320,240"]
-    scored = run(demo["plan"], demo["plan"], "--mesh", EXAMPLES / "quadrotor.obj", "--json", "-")
+    scored = run(demo["plan"], demo["plan"], "--mesh", QUADROTOR, "--json", "-")
     assert scored.returncode == 0, scored.stderr
     drawn = run(
-        *["render", EXAMPLES / "quadrotor.obj", demo["plan"], *camera],
+        *["render", QUADROTOR, demo["plan"], *camera],
         *["--out", tmp_path / "drawn", "--limit", 2, "--save", "silhouette"],
         name="dronepose",
     )
@@ -324,6 +326,7 @@ def test_refusals_write_nothing(demo, tmp_path):
         ([*given(demo), "--splits", tmp_path], "--splits: expected --scene"),
         ([*given(demo), "--splits", tmp_path, "--scene", "a"], "expected scenes_train.txt"),
         ([*given(demo), "--mesh", tmp_path / "none.obj"], "none.obj"),
+        ([*given(demo), "--mesh", QUADROTOR, "--mesh-unit", 100], "--mesh-unit says how many"),
         ([*given(demo), "--manifest", out], "manifest: "),
     ):
         done = synth("plan", *arguments, "--out", out)
@@ -355,7 +358,7 @@ def test_placement_scene_split_and_centroid_reach_the_manifest(demo, tmp_path):
     done = synth(
         *["plan", *given(demo), "--out", out, "--fit", "fill", "--yaw", 180],
         *["--scene", "hall", "--splits", tmp_path, "--seed", 5, "--stride", 2],
-        *["--mesh", EXAMPLES / "quadrotor.obj", "--model-axes", "luf", "--fov", 70, "--whole"],
+        *["--mesh", QUADROTOR, "--model-axes", "luf", "--fov", 70, "--whole"],
     )
     assert done.returncode == 0, done.stderr
     manifest = loads(out.with_suffix(".json").read_text())
@@ -375,6 +378,9 @@ def test_free_space_makes_anchors_for_the_command(tmp_path):
     done = synth("anchors", *box, "--out", out, "--json")
     assert done.returncode == 0, done.stderr
     assert (loads(done.stdout)["count"], len(rows(out))) == (9, 9)
+    done = synth("anchors", "--mesh", "example", "--count", 5, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert len(rows(out)) == 5
     done = synth("anchors", "--out", out)
     assert done.returncode == 1
     assert "--low, --high: expected both" in done.stderr

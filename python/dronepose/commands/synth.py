@@ -25,6 +25,7 @@ examples:
   dronepose synth sheet demo/data --out demo/sheet.png
   dronepose synth doctor demo/data
 """
+LARGEST_DRONE_M = 5.0
 PLAN = """\
 examples:
   dronepose synth plan --flight demo/flight.txt --anchors demo/anchors.csv --out demo/plan.csv
@@ -222,8 +223,14 @@ def _rules(args: argparse.Namespace) -> Any:
             raise ValueError("--mesh, --centroid: expected one of the two")
         from dronepose.mesh import Mesh
 
-        vertices = Mesh.from_file(args.mesh).vertices
-        corners = (vertices.min(axis=0), vertices.max(axis=0))
+        corners = args.mesh_unit * Mesh.from_file(args.mesh).bounds
+        size = corners[1] - corners[0]
+        if size.max() > LARGEST_DRONE_M:
+            wide, long, high = (f"{side:.3g}" for side in size)
+            raise ValueError(
+                f"{args.mesh}: {wide} x {long} x {high} m are no drone; --mesh-unit says how many "
+                "metres its unit has (0.01: centimetres)"
+            )
         centroid = 0.5 * (corners[0] + corners[1])
         box = [corner.tolist() for corner in corners] if args.whole else None
     return Rules(

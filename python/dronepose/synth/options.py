@@ -51,7 +51,8 @@ def add_anchor_options(parser: argparse.ArgumentParser) -> None:
     """
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="FILE", help="anchors.csv to write")
-    add("--mesh", type=Path, metavar="FILE", help="the scene, metres, z up")
+    text = "the scene, metres, z up: a mesh, placements, or example"
+    add("--mesh", metavar="FILE", help=text)
     add("--low", type=float, nargs=3, metavar=XYZ, help="least corner, metres [of the mesh]")
     add("--high", type=float, nargs=3, metavar=XYZ, help="largest corner, metres [of the mesh]")
     add("--count", type=int, default=20, metavar="N", help="how many [20]")
@@ -138,6 +139,7 @@ def _cameras(group: argparse._ArgumentGroup) -> None:
     text = "where the mesh's x, y, z point [flu; luf for the paper's mesh]"
     add("--model-axes", default="flu", metavar="FLU", help=text)
     add("--mesh", type=Path, metavar="FILE", help="the drone: its centroid is its box's middle")
+    add("--mesh-unit", type=float, default=1.0, metavar="M", help="metres of its unit [1]")
     add("--whole", action="store_true", help="the box of --mesh has to be in both images")
     text = "the drone's centroid in its mesh's frame, metres [0 0 0]"
     add("--centroid", type=float, nargs=3, metavar=XYZ, help=text)
