@@ -2,6 +2,8 @@
 //!
 //! Not rayon's global pool: that one does not survive a `fork` (as `DataLoader` workers do), and
 //! deadlocks. Pools are kept for each process and number of threads; a forked child makes its own.
+//! Callers on several threads share a pool, but one of a single thread: each has one of its own, or
+//! they would wait for one another.
 
 use std::sync::{Arc, Mutex};
 
@@ -15,7 +17,9 @@ pub const MAX_THREADS: usize = 1024;
 /// Pools of one process.
 struct Pools {
     process: u32,
-    pools: Vec<(usize, Arc<ThreadPool>)>,
+    shared: Vec<(usize, Arc<ThreadPool>)>,
+    /// Pools of one thread that nobody uses.
+    idle: Vec<ThreadPool>,
 }
 
 static POOLS: Mutex<Option<Pools>> = Mutex::new(None);
@@ -36,34 +40,51 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
             format!("found {count}, expected at most {MAX_THREADS}"),
         ));
     }
-    Ok(pool(count)?.install(work))
+    if count == 1 {
+        let pool = match with_pools(|kept| kept.idle.pop()) {
+            Some(Some(pool)) => pool,
+            _ => build(1)?,
+        };
+        let result = pool.install(work);
+        with_pools(|kept| kept.idle.push(pool));
+        return Ok(result);
+    }
+    Ok(shared(count)?.install(work))
 }
 
-/// The kept pool of a size, or a new one.
-fn pool(count: usize) -> Result<Arc<ThreadPool>> {
+/// What is kept of this process; `None` where somebody else holds it.
+///
+/// Never waits: after a fork the lock may be held by a thread that does not exist here. Then a pool
+/// of one's own does as well.
+fn with_pools<T>(work: impl FnOnce(&mut Pools) -> T) -> Option<T> {
     let process = std::process::id();
-    // Never wait: after a fork the lock may be held by a thread that does not exist here. Then a
-    // pool of our own does as well.
-    let Ok(mut kept) = POOLS.try_lock() else { return build(count) };
+    let mut kept = POOLS.try_lock().ok()?;
     if let Some(inherited) = kept.take_if(|p| p.process != process) {
         // The parent's threads are not in this process; dropping their pools would wait for them.
         std::mem::forget(inherited);
     }
-    let pools = &mut kept.get_or_insert_with(|| Pools { process, pools: Vec::new() }).pools;
-    if let Some((_, pool)) = pools.iter().find(|p| p.0 == count) {
-        return Ok(Arc::clone(pool));
-    }
-    let pool = build(count)?;
-    pools.push((count, Arc::clone(&pool)));
-    Ok(pool)
+    let new = || Pools { process, shared: Vec::new(), idle: Vec::new() };
+    Some(work(kept.get_or_insert_with(new)))
 }
 
-fn build(count: usize) -> Result<Arc<ThreadPool>> {
+/// The kept pool of a size, or a new one.
+fn shared(count: usize) -> Result<Arc<ThreadPool>> {
+    let found = with_pools(|kept| {
+        if let Some((_, pool)) = kept.shared.iter().find(|p| p.0 == count) {
+            return Ok(Arc::clone(pool));
+        }
+        let pool = Arc::new(build(count)?);
+        kept.shared.push((count, Arc::clone(&pool)));
+        Ok(pool)
+    });
+    found.unwrap_or_else(|| build(count).map(Arc::new))
+}
+
+fn build(count: usize) -> Result<ThreadPool> {
     ThreadPoolBuilder::new()
         .num_threads(count)
         .thread_name(|i| format!("dronepose-{i}"))
         .build()
-        .map(Arc::new)
         .map_err(|e| Error::argument("threads", format!("{count} cannot be started: {e}")))
 }
 
@@ -77,6 +98,24 @@ mod tests {
             assert_eq!(install(count, rayon::current_num_threads).expect("startable"), count);
         }
         assert!(install(0, rayon::current_num_threads).expect("startable") >= 1);
+    }
+
+    #[test]
+    fn callers_with_one_thread_each_do_not_wait_for_one_another() {
+        use std::sync::{Barrier, mpsc};
+        use std::time::Duration;
+        let (both, (sender, receiver)) = (Arc::new(Barrier::new(2)), mpsc::channel());
+        for _ in 0..2 {
+            let (both, sender) = (Arc::clone(&both), sender.clone());
+            // Either waits inside until the other is inside too.
+            std::thread::spawn(move || {
+                let ran = install(1, || both.wait().is_leader()).is_ok();
+                sender.send(ran)
+            });
+        }
+        for _ in 0..2 {
+            assert!(receiver.recv_timeout(Duration::from_secs(20)).expect("both run at a time"));
+        }
     }
 
     #[test]
