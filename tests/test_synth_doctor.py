@@ -422,3 +422,19 @@ def test_a_finding_keeps_the_worst_value():
     finding.add(0.0, "b")
     assert finding.measured == 0.01
     assert "not checked: nothing to look at" in str(Finding("files"))
+
+
+def test_one_image_in_a_hundred_may_be_warped_badly():
+    for looked, ok in ((99, False), (100, True)):
+        finding = Finding("warp")
+        finding.add(0.9, "hall row 0")
+        for k in range(1, looked):
+            finding.add(0.1, f"hall row {k}")
+        assert finding.ok is ok
+        assert finding.measured == 0.9
+        assert ("1 beyond" in str(finding)) is ok
+        assert ("hall row 0" in str(finding)) is not ok
+    strict = Finding("flow")
+    for k in range(200):
+        strict.add(0.5 if k == 7 else 1.0, f"hall row {k}")
+    assert strict.ok is False

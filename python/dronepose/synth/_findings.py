@@ -30,6 +30,9 @@ CHECKS: dict[str, tuple[str, float, float]] = {
 }
 """What is measured, and from where to where it may be; in the order of the report."""
 
+TOLERATED = {"warp": 0.01}
+"""Share of the images that may be out of the limits. What is thinner than a pixel, or moves before
+a bare wall, is no better for being warped; a flow that is wrong is so in far more."""
 
 NEEDS: dict[str, tuple[str, ...]] = {
     "range": ("depth",),
@@ -78,7 +81,9 @@ class Finding:
     @property
     def ok(self) -> bool | None:
         """Whether all is within the limits; ``None`` where nothing was checked."""
-        return None if self.measured is None else not self.problems
+        if self.measured is None:
+            return None
+        return len(self.problems) <= TOLERATED.get(self.check, 0) * self.looked
 
     def add(self, value: float, where: str, words: str = "") -> None:
         """Compare a value with the limits."""
@@ -113,6 +118,7 @@ class Finding:
             "mean": self.mean,
             "low": low,
             "high": high,
+            "tolerated": TOLERATED.get(self.check, 0),
             "looked": self.looked,
             "problems": self.problems[:100],
             "problem_count": len(self.problems),
@@ -134,10 +140,14 @@ class Finding:
         limits = f"at most {high:g}" if low == 0 else f"{low:g} to {high:g}"
         mean = "" if self.mean is None else f", mean {self.mean:.4g}"
         note = f"; {self.note}" if self.note else ""
+        if self.ok and self.problems:
+            note += f"; {len(self.problems)} beyond, which is within {TOLERATED[self.check]:.0%}"
         lines = [
             f"{state:<7}{self.check:<11}{self.measured:.4g} ({limits}{mean}, of {self.looked}): "
             f"{asks}{note}"
         ]
+        if self.ok:
+            return lines[0]
         lines += [f"         {problem}" for problem in self.problems[:_SHOWN]]
         if len(self.problems) > _SHOWN:
             lines.append(f"         and {len(self.problems) - _SHOWN} more")
