@@ -1,12 +1,14 @@
 """Samples a second of `dronepose synth render`, all modalities written, and its memory.
 
     python benches/bench_synth.py [--rows 40] [--scene FILE] [--workers N]
+    python benches/bench_synth.py --shares
     python benches/bench_synth.py --memory [--rows 10000] [--size 160x120]
 
 Without `--scene`: the placed house of the data folder if it is there (81,186 faces), else the hall
 that the project makes. The drone is the project's quadrotor, the flight the example's; where there
 are more rows than it has, they are repeated. `--memory` renders the hall and prints the resident
-memory ten times on the way; images are removed as they come, so that it needs no disk.
+memory ten times on the way; images are removed as they come, so that it needs no disk. `--shares`
+says, for one worker, what part of the time goes into colours, the G-buffer and flow.
 """
 
 import argparse
@@ -17,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dronepose import render
 from dronepose.camera import Camera
 from dronepose.synth import Rules, make_plan, read_anchors, read_flight, read_plan, write_example
 from dronepose.synth.dataset import write_dataset
@@ -50,6 +53,24 @@ def example_plan(folder: Path, rows: int, rules: Rules) -> PlanTable:
     return PlanTable(ids[:rows], anchors[:rows], columns, table.manifest)
 
 
+class Shares:
+    """Times what the studio asks of the renderer."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(("colour", "gbuffer", "flow"), 0.0)
+        for name in self.seconds:
+            setattr(render, name, self.timed(name, getattr(render, name)))
+
+    def timed(self, name, work):
+        def run(*args, **options):
+            begin = time.perf_counter()
+            found = work(*args, **options)
+            self.seconds[name] += time.perf_counter() - begin
+            return found
+
+        return run
+
+
 class Memory:
     """Prints the resident memory ten times, and removes images meanwhile."""
 
@@ -78,7 +99,10 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--size", default="320x240", help="of the exocentric camera, WxH")
     parser.add_argument("--memory", action="store_true")
+    parser.add_argument("--shares", action="store_true")
     args = parser.parse_args()
+    shares = Shares() if args.shares else None
+    args.workers = 1 if args.shares else args.workers
     rows = args.rows or (10_000 if args.memory else 40)
     name = args.scene or ("example" if args.memory else default_scene())
     scene, _ = read_scene(name)
@@ -104,6 +128,9 @@ def main() -> None:
     print(f"{made['kept']} of {made['rows']} rows kept")
     print(f"{made['rows'] / wall:.1f} rows a second, {1e3 * processor / made['rows']:.0f} ms of "
           "one core a row")  # fmt: skip
+    if shares is not None:
+        parts = {**shares.seconds, "rest": wall - sum(shares.seconds.values())}
+        print(", ".join(f"{name} {100 * part / wall:.0f} %" for name, part in parts.items()))
     if memory is not None:
         print(f"after all {resident_mb():.1f} MB, at most {resident_mb('VmHWM'):.1f} MB; "
               f"growth {memory.growth():+.2f} MB for 1,000 rows")  # fmt: skip

@@ -91,7 +91,10 @@ def test_opacity_is_read_where_it_is_asked_for(tmp_path):
         found = load_asset(path, texture=texture, opacity=True).materials[0].colour
         assert found.opacity[0, 0] == 10
         assert found.opacity.shape == (4, 4)
-    image[..., 3] = 255
-    cv2.imwrite(str(tmp_path / "skin.png"), image)
-    opaque = load_asset(tmp_path / "pane.obj", opacity=True)
-    assert opaque.materials[0].colour.opacity is None
+    # Opaque all over, or but for a texel that no face shows.
+    for corner in (255, 10):
+        image[..., 3] = 255
+        image[0, 3, 3] = corner
+        cv2.imwrite(str(tmp_path / "skin.png"), image)
+        opaque = load_asset(tmp_path / "pane.obj", opacity=True)
+        assert opaque.materials[0].colour.opacity is None

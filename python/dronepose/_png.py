@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import cv2
 import numpy as np
@@ -30,9 +30,10 @@ def encode_png(
         >>> encode_png(np.zeros((2, 2), np.uint8))[:4]
         b'\x89PNG'
     """
-    shown = image[..., ::-1] if image.ndim == 3 else image
+    plain = cast("NDArray[np.uint8]", np.ascontiguousarray(image))  # or of 16 bits
+    shown = cv2.cvtColor(plain, cv2.COLOR_RGB2BGR) if plain.ndim == 3 else plain
     options = [] if compression is None else [cv2.IMWRITE_PNG_COMPRESSION, compression]
-    done, content = cv2.imencode(".png", np.ascontiguousarray(shown), options)
+    done, content = cv2.imencode(".png", shown, options)
     if not done:
         raise ValueError(f"image: {image.dtype} of shape {image.shape} cannot be encoded as PNG")
     found: bytes = content.tobytes()

@@ -221,7 +221,17 @@ def load_asset(
     image = None if texture is None else Texture(_picture(Path(texture), opacity=opacity))
     made: dict[int, Material] = {}
     assets = [_asset(part, metres_per_unit, image, made, opacity=opacity) for part in parts]
-    return assets[0] if len(assets) == 1 else merged(assets)
+    found = assets[0] if len(assets) == 1 else merged(assets)
+    if opacity and any(_clear(material) for material in found.materials):
+        from dronepose.synth.opacity import see_through
+
+        if not see_through(found).any():  # texels beside all faces, which filters would mix in
+            return load_asset(path, metres_per_unit=metres_per_unit, texture=texture)
+    return found
+
+
+def _clear(material: Material) -> bool:
+    return isinstance(material.colour, Texture) and material.colour.opacity is not None
 
 
 def load_placements(path: str | os.PathLike[str]) -> list[tuple[str, Asset]]:

@@ -102,8 +102,10 @@ def encode_normal(normal: NDArray[np.float32]) -> NDArray[np.uint16]:
         >>> encode_normal(np.array([[[0, 0, -1.0]]], np.float32)).tolist()
         [[[32768, 32768, 0]]]
     """
-    some = np.any(normal != 0, axis=-1, keepdims=True)
-    return np.where(some, np.rint(32767.5 * (normal + 1)), 0).astype(np.uint16)
+    steps: NDArray[np.uint16] = np.rint(32767.5 * (normal + 1)).astype(np.uint16)
+    x, y, z = np.moveaxis(normal, -1, 0)
+    steps[(x == 0) & (y == 0) & (z == 0)] = 0
+    return steps
 
 
 def decode_normal(image: NDArray[np.uint16]) -> NDArray[np.float32]:
@@ -128,10 +130,11 @@ def encode_flow(
         >>> encode_flow(np.array([[[1.5, -2.0]]], np.float32), yes, ~yes, ~yes).tolist()
         [[[32864, 32640, 1]]]
     """
-    fate = visible + 2 * occluded.astype(np.uint16) + 3 * outside.astype(np.uint16)
-    steps = np.clip(np.rint(64 * flow) + 32_768, 0, 65_535)
-    steps = np.where(fate[..., None] > 0, steps, 0)
-    return np.concatenate([steps, fate[..., None]], axis=-1).astype(np.uint16)
+    found = np.zeros((*flow.shape[:2], 3), np.uint16)
+    found[..., :2] = np.clip(np.rint(64 * flow) + 32_768, 0, 65_535)
+    found[..., 2] = visible + 2 * occluded.astype(np.uint8) + 3 * outside.astype(np.uint8)
+    found[found[..., 2] == 0] = 0
+    return found
 
 
 def decode_flow(image: NDArray[np.uint16]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
