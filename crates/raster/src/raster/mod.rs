@@ -234,16 +234,10 @@ impl Mode {
         trace: Option<&Trace>,
         [du, dv]: [&mut [f64]; 2],
     ) {
-        let product = match trace {
-            Some(Trace::Product(product)) => Some(product),
-            _ => None,
-        };
+        let outline = trace.and_then(Trace::outline);
+        let product = trace.and_then(Trace::product);
         match *self {
             Self::Coverage { sigma } => {
-                let outline = match trace {
-                    Some(Trace::Outline(outline)) => Some(outline),
-                    _ => None,
-                };
                 coverage::back_of(outline, model, screen, size, sigma, upstream, [du, dv]);
             }
             Self::Hard => {} // piecewise constant

@@ -12,6 +12,20 @@ pub(super) enum Trace {
 }
 
 impl Trace {
+    pub(super) fn outline(&self) -> Option<&coverage::Trace> {
+        match self {
+            Self::Outline(outline) => Some(outline),
+            Self::Product(_) => None,
+        }
+    }
+
+    pub(super) fn product(&self) -> Option<&soft::Kept> {
+        match self {
+            Self::Product(product) => Some(product),
+            Self::Outline(_) => None,
+        }
+    }
+
     /// Memory in bytes.
     pub(super) fn bytes(&self) -> usize {
         match self {

@@ -2,7 +2,7 @@
 
 use super::nearest::Near;
 use super::real::{LANES, Real};
-use super::tiles::{SIDE, Units};
+use super::tiles::{LAST, SIDE, Units};
 
 /// Twice the area over the squares of two sides, up to which a face has no area: rounding leaves
 /// collinear corners about 1e-16.
@@ -10,9 +10,6 @@ const FLAT: f64 = 1e-12;
 
 /// Faces whose corners are further out than so many times the image are cut to its surroundings.
 const FAR: f64 = 1.5;
-
-/// The last pixel centre of a tile from its first, in tiles.
-const LAST: f64 = (SIDE - 1) as f64 / SIDE as f64;
 
 /// An edge in each lane, in widths from the face's [origin](Block::x). With `d` the way from there
 /// to a pixel, the pixel is at `along = e.d + along0` from the middle of the edge, and at

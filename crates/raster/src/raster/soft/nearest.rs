@@ -7,10 +7,7 @@
 
 use super::faces::{Block, Source};
 use super::real::{LANES, Real};
-use super::tiles::SIDE;
-
-/// The last pixel centre of a tile from its first, in tiles.
-const LAST: f64 = (SIDE - 1) as f64 / SIDE as f64;
+use super::tiles::{LAST, SIDE, Units};
 
 /// Widths by which strips are enlarged: more than rounding and [`LEVEL`] take away.
 const MARGIN: f64 = 2e-3;
@@ -50,8 +47,8 @@ impl Near {
         Self { all: [0; LANES], one: [[0; LANES]; 3] }
     }
 
-    /// The tiles of the first `count` faces; `low` and `high` are their bounds in tiles, from the
-    /// first tile within reach on. With `inside`, tiles that touch a face need all its edges.
+    /// Find those of a block; `low` and `high` are the bounds of its faces in tiles, from the first
+    /// tile within reach on. With `inside`, tiles that touch a face need all its edges.
     #[inline(always)]
     pub(super) fn find<R: Real>(
         block: &mut Block<R>,
@@ -60,7 +57,7 @@ impl Near {
         high: &[[f64; LANES]; 2],
         inside: bool,
     ) {
-        let super::tiles::Units { scale, reach, .. } = source.units;
+        let Units { scale, reach, .. } = source.units;
         let mut strips = [Strip::new(), Strip::new(), Strip::new()];
         let (mut x0, mut x1, mut y0, mut y1) =
             ([R::ZERO; LANES], [R::ZERO; LANES], [R::ZERO; LANES], [R::ZERO; LANES]);
@@ -166,7 +163,7 @@ impl<R: Real> Strip<R> {
     /// The strip of edge `k` of each face.
     #[inline(always)]
     fn set(&mut self, block: &Block<R>, source: &Source<'_>, k: usize) {
-        let super::tiles::Units { scale, half, .. } = source.units;
+        let Units { scale, half, .. } = source.units;
         let edges = &block.edges[k];
         // Widths in a tile, and from its middle to its last pixel centre.
         let tile = [R::of(SIDE as f64 * scale[0]), R::of(SIDE as f64 * scale[1])];

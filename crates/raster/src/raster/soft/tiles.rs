@@ -6,6 +6,9 @@ use crate::raster::{Pixel, Size};
 /// Side of a tile in pixels.
 pub(super) const SIDE: usize = 4;
 
+/// The last pixel centre of a tile from its first, in tiles.
+pub(super) const LAST: f64 = (SIDE - 1) as f64 / SIDE as f64;
+
 /// How pixels become widths: a squared length in widths is the exponent of the profile, as one of
 /// 2. The origin is the centre of the image.
 #[derive(Debug, Clone, Copy)]
