@@ -278,10 +278,10 @@ def _report(args: argparse.Namespace, stage: Stages) -> int:
 
 def _anchors(args: argparse.Namespace, stage: Stages) -> int:
     from dronepose.synth import sample_free_space
-    from dronepose.synth.inputs import read_scene
+    from dronepose.synth.inputs import scene_mesh
 
     stage("reading the mesh")
-    mesh = None if args.mesh is None else read_scene(args.mesh)[0].mesh
+    mesh = None if args.mesh is None else scene_mesh(args.mesh)
     low, high = args.low, args.high
     if mesh is None and (low is None or high is None):
         raise ValueError("--low, --high: expected both, or --mesh")

@@ -39,6 +39,7 @@ __all__ = [
     "read_more_drones",
     "read_panoramas",
     "read_scene",
+    "scene_mesh",
 ]
 
 EXAMPLE = "example"
@@ -80,6 +81,27 @@ def read_scene(name: str, *, metres_per_unit: float = 1.0) -> tuple[Asset, dict[
         return scene, {**_facts(path), "meshes": meshes}
     scene = load_asset(path, metres_per_unit=metres_per_unit).look(lit=False)
     return scene, _facts(path)
+
+
+def scene_mesh(name: str) -> Mesh:
+    """The mesh of a scene; the textures of a file of its own are not read.
+
+    Args:
+        name: As for :func:`read_scene`; metres.
+
+    Returns:
+        The mesh.
+
+    Raises:
+        ValueError: The file cannot be used.
+        FileNotFoundError: There is no such file.
+
+    Example:
+        >>> len(scene_mesh("examples/quadrotor.obj").faces) > 1000
+        True
+    """
+    whole = name == EXAMPLE or Path(name).suffix.lower() == ".csv"
+    return read_scene(name)[0].mesh if whole else Mesh.from_file(name)
 
 
 def read_drone(
