@@ -47,9 +47,11 @@ pub(super) fn with_prepared<T>(work: impl FnOnce(&mut Prepared) -> T) -> T {
     result
 }
 
-/// How many rows of an image are drawn at once, as a multiple of `unit`.
+/// How many rows of an image are drawn at once, as a multiple of `unit`; with several samples a pixel
+/// they are fewer, for textures want the cache too.
 pub(super) fn band_rows(size: Size, unit: usize) -> usize {
-    let samples = BAND_SAMPLES.max(size.pixels() / BANDS);
+    let least = if unit > 1 { BAND_SAMPLES / 4 } else { BAND_SAMPLES };
+    let samples = least.max(size.pixels() / BANDS);
     (samples / size.width / unit).max(1) * unit
 }
 
