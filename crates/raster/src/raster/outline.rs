@@ -28,12 +28,15 @@ pub(super) struct NetEdge {
     pub(super) step: i32,
 }
 
+/// The slope of edges whose height tells badly where on it a point is.
+pub(super) const LEVEL: f64 = 1e-4;
+
 impl NetEdge {
     /// Whether the height of the edge tells well where on it a point is: lost are at most four of
     /// sixteen digits.
     #[inline(always)]
     pub(super) fn is_steep(&self) -> bool {
-        self.y1 - self.y0 >= 1e-4 * (self.x1 - self.x0).abs()
+        self.y1 - self.y0 >= LEVEL * (self.x1 - self.x0).abs()
     }
 
     /// Where the edge is at height `y`, between its ends.
@@ -51,6 +54,13 @@ impl NetEdge {
 pub(super) struct Extent {
     pub(super) rows: (usize, usize),
     pub(super) columns: (usize, usize),
+}
+
+impl Extent {
+    /// In rows.
+    pub(super) fn height(&self) -> usize {
+        self.rows.1 - self.rows.0
+    }
 }
 
 /// The net edges of a screen.

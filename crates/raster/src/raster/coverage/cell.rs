@@ -31,6 +31,8 @@ pub(super) const LEFT_1: u8 = 4;
 pub(super) const RIGHT_0: u8 = 8;
 /// The lower end is on the right side, and the edge goes on there.
 pub(super) const RIGHT_1: u8 = 16;
+/// The edge is so level that its height does not tell where on it a point is.
+pub(super) const LEVEL: u8 = 32;
 
 /// Two outlines closer than this, in pixels, with nothing but a sliver between them are none.
 pub(super) const SLIVER: f64 = 1e-9;
@@ -284,23 +286,6 @@ fn between(a: f64, b: f64, part: f64) -> f64 {
     let x = a + part * (b - a);
     let x = if x < low { low } else { x };
     if x > high { high } else { x }
-}
-
-/// A rectangle with a single piece, from border to border: the covered area, and whether the piece
-/// is visible, and if so whether the uncovered side is the right one.
-#[inline(always)]
-pub(super) fn single(p: &Piece, layers: i32) -> (f64, Option<bool>) {
-    // Left of the piece, right of it, and below it where it ends on the left side.
-    let at_left = if p.flags & LEFT_0 != 0 { layers - p.step } else { layers };
-    let at_right = at_left + p.step;
-    let below = if p.flags & LEFT_1 != 0 { at_right } else { at_left };
-    let middle = 0.5 * (p.x0 + p.x1);
-    let one = |covered: bool, area: f64| if covered { area } else { 0.0 };
-    let area = one(layers > 0, p.y0)
-        + (p.y1 - p.y0) * (one(at_left > 0, middle) + one(at_right > 0, 1.0 - middle))
-        + one(below > 0, 1.0 - p.y1);
-    let visible = (at_left > 0) != (at_right > 0);
-    (area, visible.then_some(at_left > 0))
 }
 
 /// The pieces with rows and columns exchanged, for a sweep to the right.

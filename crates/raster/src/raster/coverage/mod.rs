@@ -10,10 +10,20 @@
 //! The area inside a pixel is exact up to rounding in `f64`, for every input: see `rows` and
 //! `cell`.
 
+#![expect(
+    clippy::inline_always,
+    clippy::needless_range_loop,
+    reason = "lanes: a function that is not inlined loses the instruction set of its caller"
+)]
+
 mod cell;
+mod columns;
+mod lanes;
 mod pairs;
+mod parts;
 mod rows;
 mod solver;
+mod target;
 mod trace;
 
 use std::cell::RefCell;
@@ -21,11 +31,12 @@ use std::thread::LocalKey;
 
 use rayon::prelude::*;
 
-use self::cell::{Piece, Rectangle, single};
-use self::rows::{Rows, Visitor};
-use self::solver::{Sink, Solver};
+use self::cell::{Piece, Rectangle};
+use self::rows::{Rows, walk};
+use self::solver::Solver;
+use self::target::Target;
 pub use self::trace::Trace;
-use self::trace::{Kind, Segment, Tracer};
+use self::trace::{Kind, Segment};
 use super::blur::{self, Buffers};
 use super::outline::{Extent, Outline};
 use super::{Model, Pixel, Screen, Size};
@@ -64,7 +75,7 @@ const BAND: usize = 64;
 /// Rows of the parts of an extent that are worked on side by side: the same for any number of
 /// threads.
 fn rows_of_band(extent: Extent) -> usize {
-    let rows = extent.rows.1 - extent.rows.0;
+    let rows = extent.height();
     let large = rows * (extent.columns.1 - extent.columns.0) > LARGE;
     if large { BAND } else { rows }
 }
@@ -94,25 +105,25 @@ pub(super) fn draw_traced<T: Pixel>(
         lend(&OUTLINE, |outline| {
             let (height, width) = kernel.padded(size);
             outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
-            if size.pixels() > LARGE {
-                out.par_chunks_mut(BAND * size.width).for_each(|rows| rows.fill(T::default()));
-            } else {
-                out.fill(T::default());
+            let extent = outline.extent(height, width);
+            // Those who work on an image as a whole write all of it.
+            let whole =
+                extent.is_some_and(|e| kernel.radius() == 0 && rows_of_band(e) == e.height());
+            if !whole {
+                clear(out);
             }
-            let extent = outline.extent(height, width)?;
+            let extent = extent?;
             let kind = Kind { vertices: model.vertex_count(), size, sigma };
             let mut trace = (traced && !screen.is_clipped()).then(|| Trace::new(kind, extent));
             if kernel.radius() == 0 {
-                let (first, last) = extent.rows;
-                let out = &mut out[first * width..last * width];
-                return areas(outline, extent, out, width, 0, trace);
+                return areas(outline, extent, out, width, (0, 0), trace);
             }
             blur::with_buffers(|buffers: &mut Buffers<T>| {
-                let (n, m) = (extent.rows.1 - extent.rows.0, extent.columns.1 - extent.columns.0);
+                let (n, m) = (extent.height(), extent.columns.1 - extent.columns.0);
                 let canvas = &mut buffers.canvas;
-                canvas.clear();
                 canvas.resize(n * m, T::default());
-                trace = areas(outline, extent, canvas, m, extent.columns.0, trace.take());
+                let origin = (extent.rows.0, extent.columns.0);
+                trace = areas(outline, extent, canvas, m, origin, trace.take());
                 kernel.forward(buffers, extent.rows, extent.columns, size, out);
             });
             trace
@@ -120,38 +131,54 @@ pub(super) fn draw_traced<T: Pixel>(
     })
 }
 
-/// The areas of the rows of an extent, from column `first` on, `stride` pixels a row, into zeros.
+/// Set pixels to 0.
+fn clear<T: Pixel>(out: &mut [T]) {
+    if out.len() > LARGE {
+        out.par_chunks_mut(LARGE).for_each(|part| part.fill(T::default()));
+    } else {
+        out.fill(T::default());
+    }
+}
+
+/// The areas of an extent, into an image with `stride` pixels a row from row and column `origin`
+/// on; every pixel of the rows of the extent is written, and, of images that are worked on as a
+/// whole, every other too.
 fn areas<T: Pixel>(
     outline: &Outline,
     extent: Extent,
     out: &mut [T],
     stride: usize,
-    first: usize,
+    origin: (usize, usize),
     trace: Option<Trace>,
 ) -> Option<Trace> {
     let rows = rows_of_band(extent);
     let edges = &outline.edges[..];
-    let paint = |band: Extent, out: &mut [T], trace: Option<&mut Trace>| {
+    let paint = |band: Extent, origin, out: &mut [T], trace: Option<&mut Trace>| {
         lend(&WORKER, |worker| {
             let Worker { rows, solver, turned, segments } = worker;
-            let canvas = Canvas { out, stride, origin: (band.rows.0, first) };
-            let Some(trace) = trace else {
-                rows.walk(edges, band, &mut Painter { canvas, solver });
-                return;
-            };
             segments.clear();
-            let tracer = Tracer { edges, solver, turned, segments };
-            rows.walk(edges, band, &mut Both { canvas, tracer });
-            trace.segments.clone_from(segments);
+            let written = 0;
+            let mut target = Target { out, stride, origin, written, segments, solver, turned };
+            if let Some(trace) = trace {
+                walk::<T, true, true>(rows, edges, band, &mut target);
+                trace.segments.clone_from(target.segments);
+            } else {
+                walk::<T, true, false>(rows, edges, band, &mut target);
+            }
         });
     };
-    if rows == extent.rows.1 - extent.rows.0 {
+    if rows == extent.height() {
         let mut trace = trace;
-        paint(extent, out, trace.as_mut());
+        paint(extent, origin, out, trace.as_mut());
         trace
     } else {
+        let out =
+            &mut out[(extent.rows.0 - origin.0) * stride..(extent.rows.1 - origin.0) * stride];
         let parts = out.par_chunks_mut(rows * stride).enumerate();
-        parts.for_each(|(k, out)| paint(band(extent, rows, k), out, None));
+        parts.for_each(|(k, out)| {
+            let band = band(extent, rows, k);
+            paint(band, (band.rows.0, origin.1), out, None);
+        });
         None
     }
 }
@@ -189,18 +216,21 @@ pub(super) fn back_of<T: Pixel>(
                 let Some(extent) = outline.extent(height, width) else { return };
                 extent
             };
-            let mut forces = |weights: &[T], stride: usize, first: usize| match trace {
-                Some(trace) => trace::apply(&trace.segments, weights, du, dv),
-                None => forces(outline, extent, weights, stride, first, du, dv),
-            };
             if kernel.radius() == 0 {
                 let (first, last) = extent.rows;
-                forces(&upstream[first * width..last * width], width, 0);
+                let rows = &upstream[first * width..last * width];
+                match trace {
+                    Some(trace) => trace::apply(&trace.segments, upstream, du, dv),
+                    None => forces(outline, extent, rows, width, 0, du, dv),
+                }
             } else {
                 blur::with_buffers(|buffers: &mut Buffers<T>| {
                     kernel.adjoint(upstream, size, extent.rows, extent.columns, buffers);
-                    let canvas = &buffers.canvas;
-                    forces(canvas, extent.columns.1 - extent.columns.0, extent.columns.0);
+                    let (canvas, stride) = (&buffers.canvas, extent.columns.1 - extent.columns.0);
+                    match trace {
+                        Some(trace) => trace::apply(&trace.segments, canvas, du, dv),
+                        None => forces(outline, extent, canvas, stride, extent.columns.0, du, dv),
+                    }
                 });
             }
             let topology = screen.is_clipped().then_some(&*outline);
@@ -229,17 +259,15 @@ fn forces<T: Pixel>(
         lend(&WORKER, |worker| {
             let Worker { rows, solver, turned, segments } = worker;
             segments.clear();
-            let tracer = Tracer { edges, solver, turned, segments };
-            rows.walk(
-                edges,
-                band,
-                &mut OutlineOnly { tracer, stride, origin: (band.rows.0, first) },
-            );
+            let origin = (band.rows.0, first);
+            let mut target =
+                Target::<T> { out: &mut [], stride, origin, written: 0, segments, solver, turned };
+            walk::<T, false, true>(rows, edges, band, &mut target);
             trace::apply(segments, weights, du, dv);
         });
     };
     let rows = rows_of_band(extent);
-    let height = extent.rows.1 - extent.rows.0;
+    let height = extent.height();
     if rows == height {
         one(extent, weights, du, dv);
         return;
@@ -256,103 +284,6 @@ fn forces<T: Pixel>(
         for (sum, part) in du.iter_mut().zip(part_u).chain(dv.iter_mut().zip(part_v)) {
             *sum += part;
         }
-    }
-}
-
-/// Where areas go.
-struct Canvas<'a, T> {
-    out: &'a mut [T],
-    stride: usize,
-    /// Row and column of the first pixel.
-    origin: (usize, usize),
-}
-
-impl<T: Pixel> Canvas<'_, T> {
-    #[inline(always)]
-    fn at(&self, row: usize, column: usize) -> usize {
-        (row - self.origin.0) * self.stride + column - self.origin.1
-    }
-
-    #[inline(always)]
-    fn cover(&mut self, row: usize, from: usize, to: usize) {
-        let (from, to) = (self.at(row, from), self.at(row, to));
-        self.out[from..to].fill(T::from_f64(1.0));
-    }
-
-    #[inline(always)]
-    fn set(&mut self, at: usize, area: f64) {
-        self.out[at] = T::from_f64(area.clamp(0.0, 1.0));
-    }
-}
-
-/// Adds up areas.
-struct Sum(f64);
-
-impl Sink for Sum {
-    #[inline(always)]
-    fn area(&mut self, area: f64) {
-        self.0 += area;
-    }
-
-    #[inline(always)]
-    fn edge(&mut self, _edge: u32, _height: f64, _middle: f64) {}
-}
-
-/// Writes areas.
-struct Painter<'a, T> {
-    canvas: Canvas<'a, T>,
-    solver: &'a mut Solver,
-}
-
-impl<T: Pixel> Visitor for Painter<'_, T> {
-    fn covered(&mut self, row: usize, from: usize, to: usize) {
-        self.canvas.cover(row, from, to);
-    }
-
-    fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
-        let area = if let [piece] = pieces {
-            single(piece, layers).0
-        } else {
-            let mut sum = Sum(0.0);
-            self.solver.solve(UNIT, pieces, layers, &mut sum);
-            sum.0
-        };
-        self.canvas.set(self.canvas.at(row, column), area);
-    }
-}
-
-/// Writes areas and keeps the outline.
-struct Both<'a, T> {
-    canvas: Canvas<'a, T>,
-    tracer: Tracer<'a>,
-}
-
-impl<T: Pixel> Visitor for Both<'_, T> {
-    fn covered(&mut self, row: usize, from: usize, to: usize) {
-        self.canvas.cover(row, from, to);
-    }
-
-    fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
-        let at = self.canvas.at(row, column);
-        let area = self.tracer.pixel(at as u32, row, column, pieces, layers);
-        self.canvas.set(at, area);
-    }
-}
-
-/// Keeps the outline.
-struct OutlineOnly<'a> {
-    tracer: Tracer<'a>,
-    stride: usize,
-    /// Row and column of the pixel with the number 0.
-    origin: (usize, usize),
-}
-
-impl Visitor for OutlineOnly<'_> {
-    fn covered(&mut self, _row: usize, _from: usize, _to: usize) {}
-
-    fn pixel(&mut self, row: usize, column: usize, pieces: &[Piece], layers: i32) {
-        let at = (row - self.origin.0) * self.stride + column - self.origin.1;
-        self.tracer.pixel(at as u32, row, column, pieces, layers);
     }
 }
 

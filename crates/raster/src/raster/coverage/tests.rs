@@ -109,6 +109,21 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
     #[test]
+    fn images_of_any_width_are_drawn_whole(
+        width in 1..70_usize,
+        height in 1..9_usize,
+        (points, faces) in soup(),
+        stretch in 1.0..12.0,
+    ) {
+        let points: Vec<_> = points.iter().map(|p| [p[0] * stretch, p[1]]).collect();
+        let size = Size { height, width };
+        let got = mask(&points, &faces, size, 0.0);
+        for (k, (a, b)) in got.iter().zip(&sampled(&points, &faces, size, 16)).enumerate() {
+            prop_assert!((a - b).abs() < 0.17, "pixel {k}: {a}, sampled {b}");
+        }
+    }
+
+    #[test]
     fn any_soup_is_what_samples_say((points, faces) in soup()) {
         let got = mask(&points, &faces, SMALL, 0.0);
         let expected = sampled(&points, &faces, SMALL, 24);

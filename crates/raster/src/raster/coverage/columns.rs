@@ -1,0 +1,273 @@
+//! Which pixels of a row are covered, which are not, and which an outline can run through.
+//!
+//! The number of layers at the upper left corner of a pixel counts the edges that cross the upper
+//! side of the row to its left. A pixel that no edge enters is covered or not. One that has edges
+//! in it is covered if a corner has more layers than they can take away; only the others are
+//! solved. Nothing is carried from one pixel to the next but whole numbers, so no rounding error
+//! can spread.
+
+use super::super::Pixel;
+
+/// Columns that are looked at together.
+const CHUNK: usize = 16;
+
+/// Where column 0 is in the arrays: the one before it, which stands for all that is on the left of
+/// the canvas, has a place too.
+const SHIFT: i32 = CHUNK as i32;
+
+/// A pixel to solve.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Todo {
+    pub(super) column: u32,
+    /// Its pieces, by their places.
+    pub(super) first: u32,
+    pub(super) count: u32,
+    /// Layers at the upper left corner.
+    pub(super) layers: i32,
+}
+
+/// A row of columns.
+#[derive(Debug, Default)]
+pub(super) struct Columns {
+    columns: usize,
+    /// Change of layers at the lower left corner, from the column before.
+    change: Vec<i32>,
+    /// How many pieces enter.
+    count: Vec<u32>,
+    /// How many layers the pieces can take away, seen from the upper left, upper right, lower left
+    /// and lower right corner: 16 bits each.
+    ///
+    /// On the way from a corner to a point inside, first along the side and then across, a piece
+    /// is crossed once or not at all, or once on the side and back again: it changes the number of
+    /// layers by its step or by nothing. In which direction depends on whether it leaves through
+    /// the side that the way begins on.
+    taken: Vec<u64>,
+    /// Layers at the upper left corners, and at the lower left ones.
+    upper: Vec<i32>,
+    lower: Vec<i32>,
+    /// Where the next piece of a column goes.
+    place: Vec<u32>,
+    /// Whether anything is in a chunk.
+    touched: Vec<bool>,
+}
+
+/// How a part crosses a column.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Way {
+    /// It begins and ends there.
+    Stays = 0,
+    /// To the right: its first column, one between, the last one.
+    RightFirst = 1,
+    RightOn = 2,
+    RightLast = 3,
+    /// To the left.
+    LeftFirst = 4,
+    LeftOn = 5,
+    LeftLast = 6,
+}
+
+/// For each [`Way`], first with a positive step and then with a negative one: which corners see
+/// the layers fall.
+const FALLS: [[u64; 2]; 7] = {
+    // Bits of the corners to which a step to the right is a fall (`p`); to the others one to the
+    // left is.
+    let by_right = [0b1010, 0b0010, 0b0011, 0b1011, 0b1110, 0b1100, 0b1000];
+    let mut table = [[0; 2]; 7];
+    let mut way = 0;
+    while way < 7 {
+        let mut corner = 0;
+        while corner < 4 {
+            let positive = (by_right[way] >> corner) & 1;
+            table[way][0] |= positive << (16 * corner);
+            table[way][1] |= (1 - positive) << (16 * corner);
+            corner += 1;
+        }
+        way += 1;
+    }
+    table
+};
+
+/// Rows whose edges have more steps than this are not told apart by what they take away.
+pub(super) const MOST_STEPS: u32 = u16::MAX as u32;
+
+impl Columns {
+    pub(super) fn begin(&mut self, columns: usize) {
+        let chunks = (columns + 2).div_ceil(CHUNK) + 1;
+        let all = CHUNK * (chunks + 1);
+        self.columns = columns;
+        clear(&mut self.change, all, 0);
+        clear(&mut self.count, all, 0);
+        clear(&mut self.taken, all, 0);
+        clear(&mut self.upper, all, 0);
+        clear(&mut self.lower, all, 0);
+        clear(&mut self.place, all, 0);
+        clear(&mut self.touched, chunks, false);
+    }
+
+    #[inline(always)]
+    fn at(column: i32) -> usize {
+        (column + SHIFT) as usize
+    }
+
+    /// An edge that goes on below the row, in this column.
+    #[inline(always)]
+    pub(super) fn cross(&mut self, column: i32, step: i32) {
+        let at = Self::at(column + 1);
+        self.change[at] += step;
+        self.touched[at / CHUNK] = true;
+    }
+
+    /// A piece that enters a column.
+    #[inline(always)]
+    pub(super) fn enter(&mut self, column: i32, step: i32, way: Way) {
+        let at = Self::at(column);
+        self.count[at] += 1;
+        let falls = FALLS[way as usize][usize::from(step < 0)];
+        self.taken[at] = self.taken[at].wrapping_add(falls * u64::from(step.unsigned_abs()));
+        self.touched[at / CHUNK] = true;
+    }
+
+    /// The layers at the upper side of the first row: what has been crossed so far.
+    pub(super) fn start(&mut self) {
+        let mut layers = 0;
+        for (change, lower) in self.change.iter_mut().zip(&mut self.lower) {
+            layers += std::mem::take(change);
+            *lower = layers;
+        }
+        self.touched.fill(false);
+    }
+
+    /// The row is complete: write what is covered and what is not, list what is left to do, and
+    /// begin the next row. How many places the pieces take. `out` is the row, or empty.
+    #[inline(always)]
+    pub(super) fn scan<T: Pixel>(
+        &mut self,
+        told_apart: bool,
+        out: &mut [T],
+        todo: &mut Vec<Todo>,
+    ) -> u32 {
+        std::mem::swap(&mut self.upper, &mut self.lower);
+        let total = self.add_up();
+        todo.clear();
+        for chunk in 0..self.touched.len() {
+            // The columns of the chunk on the canvas.
+            let first = (chunk * CHUNK).saturating_sub(CHUNK).min(self.columns);
+            let inside = if chunk == 0 { 0 } else { (self.columns - first).min(CHUNK) };
+            let line = if out.is_empty() { &mut [][..] } else { &mut out[first..first + inside] };
+            if std::mem::take(&mut self.touched[chunk]) {
+                self.scan_chunk(chunk, told_apart, first, inside, line, todo);
+            } else {
+                let covered = self.upper[chunk * CHUNK] > 0;
+                let value = if covered { T::from_f64(1.0) } else { T::default() };
+                if let Some(line) = line.first_chunk_mut::<CHUNK>() {
+                    *line = [value; CHUNK];
+                } else {
+                    line.fill(value);
+                }
+            }
+        }
+        total
+    }
+
+    /// Add up layers and places. A loop of its own: what it writes one by one is on its way to
+    /// memory until it is read as a register.
+    #[inline(always)]
+    fn add_up(&mut self) -> u32 {
+        let (mut layers, mut total) = (0, 0);
+        for (chunk, touched) in self.touched.iter().enumerate() {
+            let base = chunk * CHUNK;
+            let (Some(change), Some(count), Some(lower), Some(place)) = (
+                self.change[base..].first_chunk::<CHUNK>(),
+                self.count[base..].first_chunk::<CHUNK>(),
+                self.lower[base..].first_chunk_mut::<CHUNK>(),
+                self.place[base..].first_chunk_mut::<CHUNK>(),
+            ) else {
+                break;
+            };
+            if !touched {
+                *lower = [layers; CHUNK];
+                continue;
+            }
+            for l in 0..CHUNK {
+                layers += change[l];
+                lower[l] = layers;
+                place[l] = total;
+                total += count[l];
+            }
+        }
+        total
+    }
+
+    #[inline(always)]
+    fn scan_chunk<T: Pixel>(
+        &mut self,
+        chunk: usize,
+        told_apart: bool,
+        first: usize,
+        inside: usize,
+        line: &mut [T],
+        todo: &mut Vec<Todo>,
+    ) {
+        let base = chunk * CHUNK;
+        let (Some(change), Some(count), Some(taken), Some(upper), Some(lower), Some(place)) = (
+            self.change[base..].first_chunk::<{ CHUNK + 1 }>(),
+            self.count[base..].first_chunk::<CHUNK>(),
+            self.taken[base..].first_chunk::<CHUNK>(),
+            self.upper[base..].first_chunk::<{ CHUNK + 1 }>(),
+            self.lower[base..].first_chunk::<CHUNK>(),
+            self.place[base..].first_chunk::<CHUNK>(),
+        ) else {
+            return;
+        };
+        let mut least = [0_i32; CHUNK];
+        for l in 0..CHUNK {
+            let of = |corner: u32| ((taken[l] >> (16 * corner)) & 0xFFFF) as i32;
+            let a = upper[l].wrapping_sub(of(0));
+            let b = upper[l + 1].wrapping_sub(of(1));
+            let c = lower[l].wrapping_sub(of(2));
+            // The column after may not be added up: its change is.
+            let d = lower[l].wrapping_add(change[l + 1]).wrapping_sub(of(3));
+            let (a, c) = (if a > b { a } else { b }, if c > d { c } else { d });
+            let most = if a > c { a } else { c };
+            let most = if told_apart { most } else { 0 };
+            least[l] = if count[l] == 0 { upper[l] } else { most };
+        }
+        if let Some(line) = line.first_chunk_mut::<CHUNK>() {
+            for l in 0..CHUNK {
+                line[l] = if least[l] > 0 { T::from_f64(1.0) } else { T::default() };
+            }
+        } else {
+            for (pixel, least) in line.iter_mut().zip(least) {
+                *pixel = if least > 0 { T::from_f64(1.0) } else { T::default() };
+            }
+        }
+        let mut bits = 0_u32;
+        for l in 0..CHUNK {
+            bits |= u32::from((count[l] > 0) & (least[l] <= 0)) << l;
+        }
+        bits &= (1 << inside) - 1;
+        while bits != 0 {
+            let l = bits.trailing_zeros() as usize % CHUNK;
+            bits &= bits - 1;
+            let column = (first + l) as u32;
+            todo.push(Todo { column, first: place[l], count: count[l], layers: upper[l] });
+        }
+        self.change[base..base + CHUNK].fill(0);
+        self.count[base..base + CHUNK].fill(0);
+        self.taken[base..base + CHUNK].fill(0);
+    }
+
+    /// A place for the next piece of a column.
+    #[inline(always)]
+    pub(super) fn place(&mut self, column: i32, taken: bool) -> u32 {
+        let place = &mut self.place[Self::at(column)];
+        let at = *place;
+        *place += u32::from(taken);
+        at
+    }
+}
+
+fn clear<T: Copy>(list: &mut Vec<T>, length: usize, value: T) {
+    list.clear();
+    list.resize(length, value);
+}

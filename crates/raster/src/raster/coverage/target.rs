@@ -1,0 +1,186 @@
+//! Where areas and outlines go.
+
+use super::super::Pixel;
+use super::super::outline::{Extent, NetEdge};
+use super::UNIT;
+use super::cell::{Piece, transposed};
+use super::lanes::{PARTS, Place, Solved};
+use super::solver::{Sink, Solver};
+use super::trace::Segment;
+
+/// Where the results of an image or of a band of it go.
+pub(super) struct Target<'a, T> {
+    /// The rows, or nothing where areas are not asked for.
+    pub(super) out: &'a mut [T],
+    pub(super) stride: usize,
+    /// Row and column of the first pixel.
+    pub(super) origin: (usize, usize),
+    /// So many pixels are written, but for those to solve.
+    pub(super) written: usize,
+    pub(super) segments: &'a mut Vec<Segment>,
+    pub(super) solver: &'a mut Solver,
+    pub(super) turned: &'a mut Vec<Piece>,
+}
+
+impl<T: Pixel> Target<'_, T> {
+    /// The number of a pixel.
+    #[inline(always)]
+    pub(super) fn pixel(&self, row: usize, column: usize) -> u32 {
+        ((row - self.origin.0) * self.stride + column - self.origin.1) as u32
+    }
+
+    /// The columns of an extent in a row, to be written; what is before them is empty, as far as
+    /// it is not written yet.
+    #[inline(always)]
+    pub(super) fn line(&mut self, row: usize, extent: Extent) -> &mut [T] {
+        let at = (row - self.origin.0) * self.stride;
+        let [from, to] = [extent.columns.0, extent.columns.1].map(|c| at + c - self.origin.1);
+        self.out[self.written..from].fill(T::default());
+        self.written = to;
+        &mut self.out[from..to]
+    }
+
+    /// What is behind the last row is empty.
+    pub(super) fn complete(&mut self) {
+        self.out[self.written..].fill(T::default());
+        self.written = self.out.len();
+    }
+
+    #[inline(always)]
+    pub(super) fn set(&mut self, pixel: u32, area: f64) {
+        let area = if area < 0.0 { 0.0 } else { area };
+        let area = if area > 1.0 { 1.0 } else { area };
+        self.out[pixel as usize] = T::from_f64(area);
+    }
+
+    /// Solve a pixel on its own.
+    #[inline(never)]
+    pub(super) fn solve<const AREAS: bool, const TRACED: bool>(
+        &mut self,
+        edges: &[NetEdge],
+        place: Place,
+        pieces: &[Piece],
+    ) {
+        let Place { pixel, row, column, layers } = place;
+        let mut down = Down {
+            edges,
+            segments: TRACED.then_some(&mut *self.segments),
+            pixel,
+            row: f64::from(row),
+            area: 0.0,
+        };
+        self.solver.solve(UNIT, pieces, layers, &mut down);
+        let area = down.area;
+        if AREAS {
+            self.set(pixel, area);
+        }
+        if TRACED && !pieces.iter().all(|p| edges[p.edge as usize].is_steep()) {
+            transposed(pieces, self.turned);
+            let column = f64::from(column);
+            let mut right = Right { edges, segments: self.segments, pixel, column };
+            self.solver.solve(UNIT, self.turned, layers, &mut right);
+        }
+    }
+
+    /// Keep the outline in a pixel of a batch.
+    #[inline(always)]
+    pub(super) fn trace<const N: usize>(
+        &mut self,
+        edges: &[NetEdge],
+        place: Place,
+        pieces: &[Piece; N],
+        solved: &Solved<N>,
+        lane: usize,
+    ) {
+        let (pixel, row) = (place.pixel, f64::from(place.row));
+        for (i, p) in pieces.iter().enumerate() {
+            let e = &edges[p.edge as usize];
+            if N == 1 && !e.is_steep() {
+                let shown = solved.shown[i][lane];
+                if shown != 0.0 {
+                    let (u, v) = (shown * (p.y1 - p.y0), shown * (p.x0 - p.x1));
+                    let middle = 0.5 * (p.x0 + p.x1) + f64::from(place.column);
+                    let middle = (middle - e.x0) / (e.x1 - e.x0);
+                    self.segments.push(Segment { pixel, from: e.from, to: e.to, u, v, middle });
+                }
+                continue;
+            }
+            for k in 0..PARTS.min(N) {
+                let height = solved.heights[i][k][lane];
+                if height != 0.0 {
+                    let middle = solved.middles[i][k][lane];
+                    self.segments.push(Segment::steep(e, pixel, row, height, middle));
+                }
+            }
+        }
+    }
+}
+
+impl Segment {
+    /// A stretch of a steep edge in a pixel.
+    #[inline(always)]
+    fn steep(e: &NetEdge, pixel: u32, row: f64, height: f64, middle: f64) -> Self {
+        Self {
+            pixel,
+            from: e.from,
+            to: e.to,
+            u: height,
+            v: -e.slope * height,
+            middle: (middle + row - e.y0) / (e.y1 - e.y0),
+        }
+    }
+}
+
+/// Results of the sweep down.
+struct Down<'a> {
+    edges: &'a [NetEdge],
+    segments: Option<&'a mut Vec<Segment>>,
+    pixel: u32,
+    row: f64,
+    area: f64,
+}
+
+impl Sink for Down<'_> {
+    #[inline(always)]
+    fn area(&mut self, area: f64) {
+        self.area += area;
+    }
+
+    #[inline(always)]
+    fn edge(&mut self, edge: u32, height: f64, middle: f64) {
+        let e = &self.edges[edge as usize];
+        if let Some(segments) = &mut self.segments
+            && e.is_steep()
+        {
+            segments.push(Segment::steep(e, self.pixel, self.row, height, middle));
+        }
+    }
+}
+
+/// Results of the sweep to the right: its right-hand side is below.
+struct Right<'a> {
+    edges: &'a [NetEdge],
+    segments: &'a mut Vec<Segment>,
+    pixel: u32,
+    column: f64,
+}
+
+impl Sink for Right<'_> {
+    fn area(&mut self, _area: f64) {}
+
+    #[inline(always)]
+    fn edge(&mut self, edge: u32, width: f64, middle: f64) {
+        let e = &self.edges[edge as usize];
+        if !e.is_steep() {
+            let whole = 1.0 / (e.x1 - e.x0);
+            self.segments.push(Segment {
+                pixel: self.pixel,
+                from: e.from,
+                to: e.to,
+                u: -(e.y1 - e.y0) * whole * width,
+                v: width,
+                middle: (middle + self.column - e.x0) * whole,
+            });
+        }
+    }
+}
