@@ -51,38 +51,45 @@ pub(super) struct Columns {
     touched: Vec<bool>,
 }
 
-/// How a part crosses a column.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Way {
-    /// It begins and ends there.
-    Stays = 0,
-    /// To the right: its first column, one between, the last one.
-    RightFirst = 1,
-    RightOn = 2,
-    RightLast = 3,
-    /// To the left.
-    LeftFirst = 4,
-    LeftOn = 5,
-    LeftLast = 6,
-}
+/// How a part crosses a column: it begins and ends there;
+pub(super) const STAYS: usize = 0;
+/// to the right: its first column, one between, the last one;
+pub(super) const RIGHT_FIRST: usize = 1;
+pub(super) const RIGHT_ON: usize = 2;
+pub(super) const RIGHT_LAST: usize = 3;
+/// to the left;
+pub(super) const LEFT_FIRST: usize = 4;
+pub(super) const LEFT_ON: usize = 5;
+pub(super) const LEFT_LAST: usize = 6;
+/// or it does not.
+pub(super) const NOT_AT_ALL: usize = 7;
 
-/// For each [`Way`], first with a positive step and then with a negative one: which corners see
-/// the layers fall.
-const FALLS: [[u64; 2]; 7] = {
-    // Bits of the corners to which a step to the right is a fall (`p`); to the others one to the
-    // left is.
-    let by_right = [0b1010, 0b0010, 0b0011, 0b1011, 0b1110, 0b1100, 0b1000];
-    let mut table = [[0; 2]; 7];
-    let mut way = 0;
-    while way < 7 {
+/// For each way, first with a positive step and then with a negative one: which corners see the
+/// layers fall.
+const FALLS: [[u64; 2]; 8] = {
+    let mut table = [[0; 2]; 8];
+    // Bits of the corners to which a step to the right is a fall; to the others one to the left
+    // is.
+    let ways = [
+        (STAYS, 0b1010),
+        (RIGHT_FIRST, 0b0010),
+        (RIGHT_ON, 0b0011),
+        (RIGHT_LAST, 0b1011),
+        (LEFT_FIRST, 0b1110),
+        (LEFT_ON, 0b1100),
+        (LEFT_LAST, 0b1000),
+    ];
+    let mut k = 0;
+    while k < ways.len() {
+        let (way, falls) = ways[k];
         let mut corner = 0;
         while corner < 4 {
-            let positive = (by_right[way] >> corner) & 1;
+            let positive = (falls >> corner) & 1;
             table[way][0] |= positive << (16 * corner);
             table[way][1] |= (1 - positive) << (16 * corner);
             corner += 1;
         }
-        way += 1;
+        k += 1;
     }
     table
 };
@@ -119,10 +126,10 @@ impl Columns {
 
     /// A piece that enters a column.
     #[inline(always)]
-    pub(super) fn enter(&mut self, column: i32, step: i32, way: Way) {
+    pub(super) fn enter(&mut self, column: i32, step: i32, way: usize) {
         let at = Self::at(column);
-        self.count[at] += 1;
-        let falls = FALLS[way as usize][usize::from(step < 0)];
+        self.count[at] += u32::from(way != NOT_AT_ALL);
+        let falls = FALLS[way % 8][usize::from(step < 0)];
         self.taken[at] = self.taken[at].wrapping_add(falls * u64::from(step.unsigned_abs()));
         self.touched[at / CHUNK] = true;
     }

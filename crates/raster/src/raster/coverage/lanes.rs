@@ -2,7 +2,7 @@
 //!
 //! The pieces of a pixel are compared as [`pairs`](super::pairs) does, with the same answer to
 //! every tie. Pixels that need more than that are handed back: where pieces run along each other,
-//! a piece is horizontal, or is crossed by more than two others.
+//! a piece is horizontal, or is crossed by more than three others.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -25,11 +25,14 @@ pub(super) struct Place {
     pub(super) layers: i32,
 }
 
-/// Up to eight pixels of `N` pieces.
+/// Up to eight pixels of up to `N` pieces.
 #[derive(Debug, Clone)]
 pub(super) struct Batch<const N: usize> {
     pub(super) count: usize,
     pub(super) places: [Place; WIDE],
+    /// How many pieces the pixels have, and the most that one of them has.
+    pieces: [usize; WIDE],
+    most: usize,
     edge: [[u32; WIDE]; N],
     steps: [[i32; WIDE]; N],
     x0: [Lanes; N],
@@ -41,8 +44,11 @@ pub(super) struct Batch<const N: usize> {
     layers: Lanes,
 }
 
-/// Parts of a piece between crossings; those beyond the last one are empty.
-pub(super) const PARTS: usize = 3;
+/// Parts of a piece between crossings, at most; those beyond the last one are empty.
+pub(super) const PARTS: usize = 4;
+
+/// Of up to so many pieces, the loops over them are unrolled.
+const UNROLLED: usize = 6;
 
 /// What is found out about a batch.
 #[derive(Debug, Clone)]
@@ -63,6 +69,8 @@ impl<const N: usize> Default for Batch<N> {
         Self {
             count: 0,
             places: [Place::default(); WIDE],
+            pieces: [0; WIDE],
+            most: 0,
             edge: [[0; WIDE]; N],
             steps: [[0; WIDE]; N],
             x0: [ZERO; N],
@@ -116,24 +124,34 @@ impl<const N: usize> Batch<N> {
         let l = self.count % WIDE;
         self.places[l] = place;
         self.layers[l] = f64::from(place.layers);
-        for i in 0..N {
-            // What is missing changes nothing: upright and outside, each at a place of its own.
-            let x = 2.0 + i as f64;
-            let none = Piece { x0: x, y0: 0.0, x1: x, y1: 1.0, ..Piece::default() };
-            let p = if i < pieces.len() { &pieces[i] } else { &none };
+        self.pieces[l] = pieces.len();
+        if N > UNROLLED {
+            // Others may have more.
+            for i in 0..N {
+                self.step[i][l] = 0.0;
+            }
+        }
+        for (i, p) in pieces.iter().enumerate().take(N) {
             (self.x0[i][l], self.y0[i][l]) = (p.x0, p.y0);
             (self.x1[i][l], self.y1[i][l]) = (p.x1, p.y1);
             (self.step[i][l], self.steps[i][l]) = (f64::from(p.step), p.step);
             (self.flags[i][l], self.edge[i][l]) = (u64::from(p.flags), p.edge);
         }
+        self.most = self.most.max(pieces.len());
         self.count = l + 1;
         self.count == WIDE
     }
 
+    /// Begin another batch.
+    #[inline(always)]
+    pub(super) fn clear(&mut self) {
+        (self.count, self.most) = (0, 0);
+    }
+
     /// The pieces of a pixel.
     #[inline(always)]
-    pub(super) fn pieces(&self, l: usize) -> [Piece; N] {
-        std::array::from_fn(|i| Piece {
+    pub(super) fn pieces(&self, l: usize) -> impl Iterator<Item = Piece> {
+        (0..self.pieces[l].min(N)).map(move |i| Piece {
             x0: self.x0[i][l],
             y0: self.y0[i][l],
             x1: self.x1[i][l],
@@ -156,22 +174,34 @@ impl<const N: usize> Batch<N> {
         let (one, half) = (s.splat_f64s(1.0), s.splat_f64s(0.5));
         let when = |yes, value| s.select_f64s(yes, value, zero);
         let nothing = [zero; N];
+        let n = if N <= UNROLLED { N } else { self.most.min(N) };
+        let parts = PARTS.min(N);
         let (mut x0, mut y0, mut x1, mut y1) = (nothing, nothing, nothing, nothing);
         let (mut step, mut slope, mut upper, mut lower) = (nothing, nothing, nothing, nothing);
         let (mut left_y, mut left_step) = (nothing, nothing);
-        let (mut right_y, mut right_step) = (nothing, nothing);
+        let (mut right_y, mut right_step) = ([one; N], nothing);
         let start = load(&self.layers);
         let mut at_right = start;
         // How often something is wrong.
         let mut wrong = zero;
-        for i in 0..N {
+        for i in 0..n {
             (x0[i], y0[i]) = (load(&self.x0[i]), load(&self.y0[i]));
             (x1[i], y1[i]) = (load(&self.x1[i]), load(&self.y1[i]));
             step[i] = load(&self.step[i]);
+            // What is missing changes nothing: upright and outside, each at a place of its own.
+            let missing = s.equal_f64s(step[i], zero);
+            if N > UNROLLED {
+                let aside = s.splat_f64s(2.0 + i as f64);
+                (x0[i], y0[i]) =
+                    (s.select_f64s(missing, aside, x0[i]), s.select_f64s(missing, zero, y0[i]));
+                (x1[i], y1[i]) =
+                    (s.select_f64s(missing, aside, x1[i]), s.select_f64s(missing, one, y1[i]));
+            }
             let flags = S::as_simd_u64s(&self.flags[i]).0[k];
             let has = |flag: u8| {
                 let flag = s.splat_u64s(u64::from(flag));
-                s.equal_u64s(s.and_u64s(flags, flag), flag)
+                let set = s.equal_u64s(s.and_u64s(flags, flag), flag);
+                if N > UNROLLED { s.and_m64s(set, s.not_m64s(missing)) } else { set }
             };
             let back = s.neg_f64s(step[i]);
             let height = s.sub_f64s(y1[i], y0[i]);
@@ -193,16 +223,16 @@ impl<const N: usize> Batch<N> {
         }
         // Layers on the left of the upper end, the crossings' heights and changes, in order.
         let mut layers = [start; N];
-        let (mut at, mut change) = ([y1; 2], [nothing; 2]);
+        let (mut at, mut change) = ([y1; PARTS - 1], [nothing; PARTS - 1]);
         let mut crossings = nothing;
-        for i in 0..N {
-            for j in 0..N {
+        for i in 0..n {
+            for j in 0..n {
                 let entered = s.less_than_or_equal_f64s(left_y[j], y0[i]);
                 layers[i] = s.add_f64s(layers[i], when(entered, left_step[j]));
             }
         }
-        for i in 0..N {
-            for j in i + 1..N {
+        for i in 0..n {
+            for j in i + 1..n {
                 let (high, low) = (s.max_f64s(y0[i], y0[j]), s.min_f64s(y1[i], y1[j]));
                 let x = |k: usize, y| s.add_f64s(x0[k], s.mul_f64s(s.sub_f64s(y, y0[k]), slope[k]));
                 let top = s.sub_f64s(x(i, high), x(j, high));
@@ -243,18 +273,22 @@ impl<const N: usize> Batch<N> {
                 let apart = s.sub_f64s(top, bottom);
                 let apart = s.select_f64s(s.equal_f64s(apart, zero), one, apart);
                 let part = s.max_f64s(s.min_f64s(s.div_f64s(top, apart), one), zero);
-                let y = s.add_f64s(high, s.mul_f64s(s.sub_f64s(low, high), part));
+                let y_cross = s.add_f64s(high, s.mul_f64s(s.sub_f64s(low, high), part));
                 let away = |right, step| s.select_f64s(right, s.neg_f64s(step), step);
                 for (k, cross, change_k) in
                     [(i, i_cross, away(i_top, step[j])), (j, j_cross, away(j_top, step[i]))]
                 {
-                    let first = s.and_m64s(cross, s.less_than_f64s(y, at[0][k]));
-                    let second = s.and_m64s(cross, s.less_than_f64s(y, at[1][k]));
-                    at[1][k] = s.select_f64s(first, at[0][k], s.select_f64s(second, y, at[1][k]));
-                    let later = s.select_f64s(second, change_k, change[1][k]);
-                    change[1][k] = s.select_f64s(first, change[0][k], later);
-                    at[0][k] = s.select_f64s(first, y, at[0][k]);
-                    change[0][k] = s.select_f64s(first, change_k, change[0][k]);
+                    for m in (0..parts - 1).rev() {
+                        let here = s.and_m64s(cross, s.less_than_f64s(y_cross, at[m][k]));
+                        let y = s.select_f64s(here, y_cross, at[m][k]);
+                        let after = s.select_f64s(here, change_k, change[m][k]);
+                        (at[m][k], change[m][k]) = (y, after);
+                        if m > 0 {
+                            let before = s.and_m64s(cross, s.less_than_f64s(y_cross, at[m - 1][k]));
+                            at[m][k] = s.select_f64s(before, at[m - 1][k], y);
+                            change[m][k] = s.select_f64s(before, change[m - 1][k], after);
+                        }
+                    }
                     crossings[k] = s.add_f64s(crossings[k], when(cross, one));
                 }
                 let widest = s.max_f64s(s.abs_f64s(top), s.abs_f64s(bottom));
@@ -263,15 +297,15 @@ impl<const N: usize> Batch<N> {
             }
         }
         let store = |lanes: &mut Lanes, value| S::as_mut_simd_f64s(lanes).0[k] = value;
-        let mut area = covered_side(s, at_right, &right_y, &right_step);
-        for i in 0..N {
-            let many = s.greater_than_f64s(crossings[i], s.splat_f64s(2.0));
+        let mut area = covered_side(s, at_right, &right_y[..n], &right_step[..n]);
+        for i in 0..n {
+            let many = s.greater_than_f64s(crossings[i], s.splat_f64s((PARTS - 1) as f64));
             wrong = s.add_f64s(wrong, when(many, one));
             let whole = s.mul_f64s(half, s.add_f64s(x0[i], x1[i]));
             let cut = s.greater_than_f64s(crossings[i], zero);
             let (mut left, mut from) = (layers[i], y0[i]);
-            for k in 0..PARTS.min(N) {
-                let to = if k + 1 < PARTS.min(N) { at[k][i] } else { y1[i] };
+            for k in 0..parts {
+                let to = if k + 1 < parts { at[k][i] } else { y1[i] };
                 let covered = |layers| when(s.greater_than_f64s(layers, zero), one);
                 let shown = s.sub_f64s(covered(left), covered(s.add_f64s(left, step[i])));
                 let height = s.mul_f64s(shown, s.sub_f64s(to, from));
@@ -284,7 +318,7 @@ impl<const N: usize> Batch<N> {
                 }
                 store(&mut solved.heights[i][k], height);
                 store(&mut solved.middles[i][k], middle);
-                if k + 1 < PARTS.min(N) {
+                if k + 1 < parts {
                     (left, from) = (s.add_f64s(left, change[k][i]), to);
                 }
             }
@@ -297,23 +331,18 @@ impl<const N: usize> Batch<N> {
 /// How much of the right side of a pixel is covered, with `layers` at its upper end and a step at
 /// each of some heights.
 #[inline(always)]
-fn covered_side<S: Simd, const N: usize>(
-    s: S,
-    layers: S::f64s,
-    y: &[S::f64s; N],
-    step: &[S::f64s; N],
-) -> S::f64s {
+fn covered_side<S: Simd>(s: S, layers: S::f64s, y: &[S::f64s], step: &[S::f64s]) -> S::f64s {
     let (zero, one) = (s.splat_f64s(0.0), s.splat_f64s(1.0));
     let when = |yes, value| s.select_f64s(yes, value, zero);
     let mut first = one;
-    for i in 0..N {
+    for i in 0..y.len() {
         first = s.min_f64s(first, y[i]);
     }
     let mut covered = when(s.greater_than_f64s(layers, zero), first);
-    for i in 0..N {
+    for i in 0..y.len() {
         // From this height to the next one; of equal ones, the last counts.
         let (mut behind, mut next) = (s.add_f64s(layers, step[i]), one);
-        for j in 0..N {
+        for j in 0..y.len() {
             if j == i {
                 continue;
             }

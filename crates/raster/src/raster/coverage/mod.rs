@@ -7,8 +7,10 @@
 //! stretch of outline of length `l` moves outwards by `d`, its pixel gains the area `l d`.
 //! Crossings of edges need no derivative of their own (they move along the outline).
 //!
-//! The area inside a pixel is exact up to rounding in `f64`, for every input: see `rows` and
-//! `cell`.
+//! Row by row, edges are cut into pieces (`parts`), whole numbers tell which pixels an outline can
+//! run through (`columns`), and those with few pieces are solved eight at a time (`lanes`), the
+//! others one by one (`pairs`, `cell`). The area inside a pixel is exact up to rounding in `f64`,
+//! for every input.
 
 #![expect(
     clippy::inline_always,
@@ -48,6 +50,8 @@ struct Worker {
     solver: Solver,
     turned: Vec<Piece>,
     segments: Vec<Segment>,
+    /// How many segments the last image had: those of a batch are like each other.
+    expected: usize,
 }
 
 thread_local! {
@@ -155,14 +159,15 @@ fn areas<T: Pixel>(
     let edges = &outline.edges[..];
     let paint = |band: Extent, origin, out: &mut [T], trace: Option<&mut Trace>| {
         lend(&WORKER, |worker| {
-            let Worker { rows, solver, turned, segments } = worker;
-            segments.clear();
+            let Worker { rows, solver, turned, segments, expected } = worker;
             let written = 0;
-            let mut target = Target { out, stride, origin, written, segments, solver, turned };
-            if let Some(trace) = trace {
+            if let Some(Trace { segments, .. }) = trace {
+                segments.reserve(*expected + *expected / 8);
+                let mut target = Target { out, stride, origin, written, segments, solver, turned };
                 walk::<T, true, true>(rows, edges, band, &mut target);
-                trace.segments.clone_from(target.segments);
+                *expected = segments.len();
             } else {
+                let mut target = Target { out, stride, origin, written, segments, solver, turned };
                 walk::<T, true, false>(rows, edges, band, &mut target);
             }
         });
@@ -257,7 +262,7 @@ fn forces<T: Pixel>(
     let edges = &outline.edges[..];
     let one = |band: Extent, weights: &[T], du: &mut [f64], dv: &mut [f64]| {
         lend(&WORKER, |worker| {
-            let Worker { rows, solver, turned, segments } = worker;
+            let Worker { rows, solver, turned, segments, .. } = worker;
             segments.clear();
             let origin = (band.rows.0, first);
             let mut target =

@@ -6,7 +6,9 @@ use super::super::Pixel;
 use super::super::order::RowOrder;
 use super::super::outline::{Extent, NetEdge};
 use super::cell::Piece;
-use super::columns::{Columns, MOST_STEPS, Todo, Way};
+use super::columns::{
+    Columns, LEFT_FIRST, LEFT_ON, MOST_STEPS, NOT_AT_ALL, RIGHT_FIRST, RIGHT_LAST, RIGHT_ON, Todo,
+};
 use super::lanes::{Batch, Place, Solved};
 use super::parts::{self, Group};
 use super::target::Target;
@@ -22,7 +24,9 @@ pub(super) struct Rows {
     /// The pieces of a row, and one place for those that are none.
     pieces: Vec<Piece>,
     todo: Vec<Todo>,
-    batches: Batches,
+    /// Made when it is first needed: buffers are taken from their thread and put back, and this
+    /// one is too large to be copied.
+    batches: Option<Box<Batches>>,
 }
 
 /// Pixels that wait for others with the same number of pieces.
@@ -32,8 +36,10 @@ struct Batches {
     two: (Batch<2>, Solved<2>),
     three: (Batch<3>, Solved<3>),
     four: (Batch<4>, Solved<4>),
+    five: (Batch<5>, Solved<5>),
     six: (Batch<6>, Solved<6>),
     eight: (Batch<8>, Solved<8>),
+    sixteen: (Batch<16>, Solved<16>),
 }
 
 /// Go over the rows of an extent. With `AREAS`, every pixel of the extent is written; with
@@ -91,6 +97,7 @@ impl Rows {
             }
         }
         self.columns.start();
+        let mut batches = self.batches.take().unwrap_or_default();
         for row in first..last {
             let top = row as f64;
             self.continue_to(edges, row - first, top);
@@ -134,13 +141,14 @@ impl Rows {
                 let pixel = target.pixel(row, column);
                 let place = Place { pixel, row: row as u32, column: column as u32, layers };
                 let pieces = &self.pieces[first as usize..(first + count) as usize];
-                self.batches.take::<T, AREAS, TRACED>(edges, place, pieces, target);
+                batches.take::<T, AREAS, TRACED>(edges, place, pieces, target);
             }
         }
         if AREAS {
             target.complete();
         }
-        self.batches.flush::<T, AREAS, TRACED>(edges, target);
+        batches.flush::<T, AREAS, TRACED>(edges, target);
+        self.batches = Some(batches);
     }
 
     /// Leave the edges that are in a row.
@@ -162,19 +170,15 @@ impl Rows {
 fn enter(columns: &mut Columns, group: &Group, l: usize) {
     let ((from, to), step) = (group.columns(l), group.step[l]);
     columns.cross(to, group.step_below(l));
-    let (first, on, last) = if from < to {
-        (Way::RightFirst, Way::RightOn, Way::RightLast)
-    } else {
-        (Way::LeftFirst, Way::LeftOn, Way::LeftLast)
-    };
-    columns.enter(from, step, if from == to { Way::Stays } else { first });
-    if from == to {
-        return;
-    }
-    columns.enter(to, step, last);
-    let (low, high) = if from < to { (from, to) } else { (to, from) };
-    for column in low + 1..high {
-        columns.enter(column, step, on);
+    // Without a branch, as nothing foretells which way a part runs.
+    let (right, left) = (usize::from(from < to), usize::from(from > to));
+    columns.enter(from, step, right * RIGHT_FIRST + left * LEFT_FIRST);
+    columns.enter(to, step, NOT_AT_ALL - right * (NOT_AT_ALL - RIGHT_LAST) - left);
+    if (to - from).abs() > 1 {
+        let way = if from < to { RIGHT_ON } else { LEFT_ON };
+        for column in from.min(to) + 1..from.max(to) {
+            columns.enter(column, step, way);
+        }
     }
 }
 
@@ -232,7 +236,12 @@ impl Batches {
                     finish::<T, 4, AREAS, TRACED>(&mut self.four, edges, target);
                 }
             }
-            5 | 6 => {
+            5 => {
+                if self.five.0.push(place, pieces) {
+                    finish::<T, 5, AREAS, TRACED>(&mut self.five, edges, target);
+                }
+            }
+            6 => {
                 if self.six.0.push(place, pieces) {
                     finish::<T, 6, AREAS, TRACED>(&mut self.six, edges, target);
                 }
@@ -240,6 +249,11 @@ impl Batches {
             7 | 8 => {
                 if self.eight.0.push(place, pieces) {
                     finish::<T, 8, AREAS, TRACED>(&mut self.eight, edges, target);
+                }
+            }
+            9..=16 => {
+                if self.sixteen.0.push(place, pieces) {
+                    finish::<T, 16, AREAS, TRACED>(&mut self.sixteen, edges, target);
                 }
             }
             _ => target.solve::<AREAS, TRACED>(edges, place, pieces),
@@ -256,8 +270,10 @@ impl Batches {
         finish::<T, 2, AREAS, TRACED>(&mut self.two, edges, target);
         finish::<T, 3, AREAS, TRACED>(&mut self.three, edges, target);
         finish::<T, 4, AREAS, TRACED>(&mut self.four, edges, target);
+        finish::<T, 5, AREAS, TRACED>(&mut self.five, edges, target);
         finish::<T, 6, AREAS, TRACED>(&mut self.six, edges, target);
         finish::<T, 8, AREAS, TRACED>(&mut self.eight, edges, target);
+        finish::<T, 16, AREAS, TRACED>(&mut self.sixteen, edges, target);
     }
 }
 
@@ -275,8 +291,12 @@ fn finish<T: Pixel, const N: usize, const AREAS: bool, const TRACED: bool>(
     for l in 0..batch.count {
         let place = batch.places[l];
         if N > 1 && solved.handed_back[l] > 0.0 {
-            let pieces = batch.pieces(l);
-            let count = pieces.iter().take_while(|p| p.step != 0).count();
+            let mut pieces = [Piece::default(); N];
+            let mut count = 0;
+            for piece in batch.pieces(l) {
+                pieces[count] = piece;
+                count += 1;
+            }
             target.solve::<AREAS, TRACED>(edges, place, &pieces[..count]);
             continue;
         }
@@ -284,8 +304,8 @@ fn finish<T: Pixel, const N: usize, const AREAS: bool, const TRACED: bool>(
             target.set(place.pixel, solved.area[l]);
         }
         if TRACED {
-            target.trace(edges, place, &batch.pieces(l), solved, l);
+            target.trace(edges, place, batch.pieces(l), solved, l);
         }
     }
-    batch.count = 0;
+    batch.clear();
 }

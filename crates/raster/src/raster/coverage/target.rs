@@ -88,12 +88,12 @@ impl<T: Pixel> Target<'_, T> {
         &mut self,
         edges: &[NetEdge],
         place: Place,
-        pieces: &[Piece; N],
+        pieces: impl Iterator<Item = Piece>,
         solved: &Solved<N>,
         lane: usize,
     ) {
         let (pixel, row) = (place.pixel, f64::from(place.row));
-        for (i, p) in pieces.iter().enumerate() {
+        for (i, p) in pieces.enumerate() {
             let e = &edges[p.edge as usize];
             if N == 1 && !e.is_steep() {
                 let shown = solved.shown[i][lane];
