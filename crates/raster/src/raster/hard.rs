@@ -6,6 +6,7 @@
 //! thread) and a bit that says so. The bits of a row then lead from one change to the next.
 
 use std::cell::RefCell;
+use std::ops::Range;
 
 use super::outline::{Extent, Net, NetEdge, Outline};
 use super::{Model, Pixel, Screen, Size};
@@ -72,9 +73,42 @@ fn first_from(x: f64, n: usize) -> usize {
 /// Draw the mask; every pixel of `out` is written.
 pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, out: &mut [T]) {
     SCRATCH.with_borrow_mut(|scratch| {
-        let Scratch { outline, crossings, borders, table, on_edge } = scratch;
-        let width = size.width;
+        let (width, one) = (size.width, T::from_f64(1.0));
         out.fill(T::default());
+        scratch.sweep(model, screen, size, |row, columns| {
+            out[row * width..(row + 1) * width][columns].fill(one);
+        });
+        for &pixel in &scratch.on_edge {
+            out[pixel] = one;
+        }
+        for e in &scratch.borders {
+            border(e, size, out);
+        }
+    });
+}
+
+/// Call `cover` for each run of pixels of a row that are inside of a triangle: with the row, and the
+/// columns. A centre exactly on a border is on either side of it.
+pub(super) fn runs(
+    model: &Model,
+    screen: &Screen,
+    size: Size,
+    cover: impl FnMut(usize, Range<usize>),
+) {
+    SCRATCH.with_borrow_mut(|scratch| scratch.sweep(model, screen, size, cover));
+}
+
+impl Scratch {
+    /// As [`runs`], and leave what has to do with borders.
+    #[inline(always)]
+    fn sweep(
+        &mut self,
+        model: &Model,
+        screen: &Screen,
+        size: Size,
+        mut cover: impl FnMut(usize, Range<usize>),
+    ) {
+        let Self { outline, crossings, borders, table, on_edge } = self;
         let net = outline.choose(model, screen, 0.0);
         borders.clear();
         on_edge.clear();
@@ -91,22 +125,17 @@ pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, out: &mut [T])
                 if first == top && e.x0 == e.x1 {
                     borders.push(e);
                 }
-                table.mark(&e, c, &band, width, on_edge);
+                table.mark(&e, c, &band, size.width, on_edge);
             }
-            let lines = out[first * width..band.rows.1 * width].chunks_exact_mut(width);
             let changes = table.change.chunks_exact_mut(64 * words);
             let touched = table.touched.chunks_exact_mut(words);
-            for ((line, change), touched) in lines.zip(changes).zip(touched) {
-                paint(change, touched, &mut line[left..right]);
+            for ((row, change), touched) in (first..band.rows.1).zip(changes).zip(touched) {
+                take(change, touched, |columns| {
+                    cover(row, left + columns.start..left + columns.end);
+                });
             }
         }
-        for &pixel in &*on_edge {
-            out[pixel] = T::from_f64(1.0);
-        }
-        for e in &*borders {
-            border(e, size, out);
-        }
-    });
+    }
 }
 
 /// Sort out the net edges that cross the centre line of a row, and those that may run through a
@@ -178,9 +207,9 @@ impl Table {
     }
 }
 
-/// Fill a row where there are layers, and clear its changes.
-fn paint<T: Pixel>(change: &mut [i32], touched: &mut [u64], line: &mut [T]) {
-    let one = T::from_f64(1.0);
+/// Call `cover` where in a row there are layers, and clear its changes.
+#[inline(always)]
+fn take(change: &mut [i32], touched: &mut [u64], mut cover: impl FnMut(Range<usize>)) {
     let (mut layers, mut from) = (0, 0);
     for (word, bits) in touched.iter_mut().enumerate() {
         let mut bits = std::mem::take(bits);
@@ -192,7 +221,7 @@ fn paint<T: Pixel>(change: &mut [i32], touched: &mut [u64], line: &mut [T]) {
             if before <= 0 && layers > 0 {
                 from = column;
             } else if before > 0 && layers <= 0 {
-                line[from..column].fill(one);
+                cover(from..column);
             }
         }
     }

@@ -29,7 +29,6 @@
     reason = "lanes: a function that is not inlined loses the instruction set of its caller"
 )]
 
-mod cover;
 mod faces;
 pub(super) mod kaolin;
 mod kernel;
@@ -40,7 +39,6 @@ mod real;
 mod tests;
 mod tiles;
 
-use self::cover::Cover;
 use self::faces::Source;
 use self::real::Real;
 use self::tiles::{Tiles, Units};
@@ -85,12 +83,11 @@ const LARGE: usize = 1 << 20;
 #[derive(Debug)]
 struct Scratch<R> {
     tiles: Tiles<R>,
-    cover: Cover,
 }
 
 impl<R: Real> Default for Scratch<R> {
     fn default() -> Self {
-        Self { tiles: Tiles::default(), cover: Cover::default() }
+        Self { tiles: Tiles::default() }
     }
 }
 
@@ -183,9 +180,9 @@ impl Profile {
         size: Size,
         out: &mut [T],
     ) {
-        let Scratch { tiles, cover } = scratch;
+        let Scratch { tiles } = scratch;
         if let Some(source) = self.lay(tiles, model, screen, size) {
-            self.product(&source, tiles, cover, model, screen, size);
+            self.product(&source, tiles, model, screen, size);
             tiles.compose(size, out);
         } else {
             tiles.values.clear();
@@ -204,7 +201,7 @@ impl Profile {
         upstream: &[T],
         [du, dv]: [&mut [f64]; 2],
     ) {
-        let Scratch { tiles, cover } = scratch;
+        let Scratch { tiles } = scratch;
         let Some(source) = self.lay(tiles, model, screen, size) else { return };
         let mut scale = 0.0_f64;
         let [columns, rows] = tiles.pixels(size);
@@ -223,7 +220,7 @@ impl Profile {
                 tiles.values.clear();
                 tiles.values.extend_from_slice(values);
             }
-            _ => self.product(&source, tiles, cover, model, screen, size),
+            _ => self.product(&source, tiles, model, screen, size),
         }
         tiles.weigh(size, upstream, scale);
         tiles.mark(R::ZERO);
@@ -256,7 +253,6 @@ impl Profile {
         self,
         source: &Source<'_>,
         tiles: &mut Tiles<R>,
-        cover: &mut Cover,
         model: &Model,
         screen: &Screen,
         size: Size,
@@ -264,7 +260,7 @@ impl Profile {
         tiles.fill(size, R::ONE);
         match self {
             Self::Dibr(_) => {
-                cover.clear(model, screen, size, tiles);
+                tiles.cover(model, screen, size);
                 tiles.mark(R::ZERO);
                 kernel::draw::<R, false>(source, tiles);
             }

@@ -1,7 +1,7 @@
 //! The image as tiles of 4x4 pixels, as far as a shape reaches.
 
 use super::real::{LANES, Real};
-use crate::raster::{Pixel, Size};
+use crate::raster::{Model, Pixel, Screen, Size, hard};
 
 /// Side of a tile in pixels.
 pub(super) const SIDE: usize = 4;
@@ -126,6 +126,28 @@ impl<R: Real> Tiles<R> {
                 tile[SIDE * rows..].fill(R::ZERO);
             }
         }
+    }
+
+    /// Set the pixels inside of faces to 0. A centre exactly on an outline is at distance 0 anyway.
+    pub(super) fn cover(&mut self, model: &Model, screen: &Screen, size: Size) {
+        let [columns, rows] = self.pixels(size);
+        hard::runs(model, screen, size, |row, run| {
+            let (from, to) = (run.start.max(columns.start), run.end.min(columns.end));
+            if from >= to || !rows.contains(&row) {
+                return;
+            }
+            let (line, lane) = ((row - rows.start) / SIDE, SIDE * (row % SIDE));
+            let tiles = &mut self.values[line * self.count[0]..(line + 1) * self.count[0]];
+            let (from, to) = (from - columns.start, to - columns.start);
+            let (first, last) = (from / SIDE, (to - 1) / SIDE);
+            for (column, tile) in tiles[first..=last].iter_mut().enumerate() {
+                let begin = SIDE * (first + column);
+                for (k, value) in tile[lane..lane + SIDE].iter_mut().enumerate() {
+                    let inside = (from..to).contains(&(begin + k));
+                    *value = if inside { R::ZERO } else { *value };
+                }
+            }
+        });
     }
 
     /// The tiles in use are those where a pixel is larger than `least`, in size.
