@@ -34,6 +34,7 @@ mod planes;
 mod screen;
 pub mod sigmoid;
 mod soft;
+mod spare;
 mod topology;
 mod trace;
 

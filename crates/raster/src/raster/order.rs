@@ -9,26 +9,33 @@ pub(super) struct RowOrder {
     /// `order[start[r]..start[r + 1]]`.
     start: Vec<u32>,
     order: Vec<u32>,
+    /// The row that each edge starts in.
+    row: Vec<u32>,
 }
 
 impl RowOrder {
     /// Begin with row `first`; rows up to `last` follow.
     pub(super) fn begin(&mut self, edges: &[NetEdge], first: usize, last: usize) {
         let rows = last - first;
-        let row = |e: &NetEdge| ((e.y0 - first as f64).max(0.0) as usize).min(rows);
-        let inside = |e: &NetEdge| e.y1 >= first as f64;
+        // Those that end before the range have a row of their own, behind the last.
+        let row = |e: &NetEdge| {
+            let row = ((e.y0 - first as f64).max(0.0) as usize).min(rows);
+            if e.y1 >= first as f64 { row as u32 } else { rows as u32 + 1 }
+        };
         self.start.clear();
-        self.start.resize(rows + 2, 0);
-        for e in edges.iter().filter(|e| inside(e)) {
-            self.start[row(e) + 1] += 1;
+        self.start.resize(rows + 3, 0);
+        self.row.clear();
+        self.row.extend(edges.iter().map(row));
+        for &row in &self.row {
+            self.start[row as usize + 1] += 1;
         }
         for k in 1..self.start.len() {
             self.start[k] += self.start[k - 1];
         }
         self.order.clear();
         self.order.resize(edges.len(), 0);
-        for (id, e) in edges.iter().enumerate().filter(|(_, e)| inside(e)) {
-            let slot = &mut self.start[row(e)];
+        for (id, &row) in self.row.iter().enumerate() {
+            let slot = &mut self.start[row as usize];
             self.order[*slot as usize] = id as u32;
             *slot += 1;
         }

@@ -24,6 +24,8 @@ pub struct Topology {
     /// For each vertex its share of what happens to its position: 1 over the number of vertices
     /// there that a face names, 0 for a vertex that no face names.
     pub share: Vec<f64>,
+    /// The vertices whose share is not 1, last first.
+    pub shared: Vec<u32>,
     /// The faces over representatives.
     pub faces: Vec<[u32; 3]>,
     /// Every edge once, in the order in which the faces name them; edges from a vertex to itself
@@ -68,17 +70,16 @@ impl Topology {
         let faces: Vec<[u32; 3]> =
             faces.iter().map(|f| f.map(|v| representative[v as usize])).collect();
         let (edges, more) = edges(&faces);
-        Self { representative, share, faces, edges, more }
+        let shared = (0..share.len() as u32).rev().filter(|&k| share[k as usize] != 1.0).collect();
+        Self { representative, share, shared, faces, edges, more }
     }
 
     /// Vertices at one position move together: share what the first of them has got among all
     /// that a face names.
     pub(super) fn share(&self, gradient: &mut [f64]) {
-        let vertices = self.representative.iter().zip(&self.share).enumerate().rev();
-        for (k, (&first, &share)) in vertices {
-            if share != 1.0 {
-                gradient[k] = gradient[first as usize] * share;
-            }
+        for &k in &self.shared {
+            let k = k as usize;
+            gradient[k] = gradient[self.representative[k] as usize] * self.share[k];
         }
     }
 }

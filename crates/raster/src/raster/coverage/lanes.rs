@@ -33,35 +33,52 @@ pub(super) struct Batch<const N: usize> {
     /// How many pieces the pixels have, and the most that one of them has.
     pieces: [usize; WIDE],
     most: usize,
-    edge: [[u32; WIDE]; N],
-    steps: [[i32; WIDE]; N],
     x0: [Lanes; N],
     y0: [Lanes; N],
     x1: [Lanes; N],
     y1: [Lanes; N],
     step: [Lanes; N],
-    flags: [[u64; WIDE]; N],
+    /// The flags of a piece in the low bits, its edge in those from [`EDGE`] on.
+    words: [[u64; WIDE]; N],
     layers: Lanes,
 }
 
 /// Parts of a piece between crossings, at most; those beyond the last one are empty.
 pub(super) const PARTS: usize = 4;
 
+/// Where the edge is in a word.
+const EDGE: u32 = 32;
+
 /// Of up to so many pieces, the loops over them are unrolled.
 const UNROLLED: usize = 6;
 
+/// The most pieces of a pixel.
+pub(super) const MOST: usize = 16;
+
 /// What is found out about a batch.
 #[derive(Debug, Clone)]
-pub(super) struct Solved<const N: usize> {
+pub(super) struct Solved {
     pub(super) area: Lanes,
     /// 1 where the pixel is not solved.
     pub(super) handed_back: Lanes,
+    pub(super) pieces: [Shown; MOST],
+}
+
+/// What is visible of a piece in each of the pixels.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Shown {
+    /// 1 where only the left side of the first part is covered, -1 where only the right one is.
+    pub(super) first: Lanes,
     /// Visible height of each part, positive if the uncovered side is the right one, and its
     /// middle.
-    pub(super) heights: [[Lanes; PARTS]; N],
-    pub(super) middles: [[Lanes; PARTS]; N],
-    /// 1 where only the left side of the upper part is covered, -1 where only the right one is.
-    pub(super) shown: [Lanes; N],
+    pub(super) heights: [Lanes; PARTS],
+    pub(super) middles: [Lanes; PARTS],
+}
+
+impl Default for Solved {
+    fn default() -> Self {
+        Self { area: ZERO, handed_back: ZERO, pieces: [Shown::default(); MOST] }
+    }
 }
 
 impl<const N: usize> Default for Batch<N> {
@@ -71,27 +88,13 @@ impl<const N: usize> Default for Batch<N> {
             places: [Place::default(); WIDE],
             pieces: [0; WIDE],
             most: 0,
-            edge: [[0; WIDE]; N],
-            steps: [[0; WIDE]; N],
             x0: [ZERO; N],
             y0: [ZERO; N],
             x1: [ZERO; N],
             y1: [ZERO; N],
             step: [ZERO; N],
-            flags: [[0; WIDE]; N],
+            words: [[0; WIDE]; N],
             layers: ZERO,
-        }
-    }
-}
-
-impl<const N: usize> Default for Solved<N> {
-    fn default() -> Self {
-        Self {
-            area: ZERO,
-            handed_back: ZERO,
-            heights: [[ZERO; PARTS]; N],
-            middles: [[ZERO; PARTS]; N],
-            shown: [ZERO; N],
         }
     }
 }
@@ -103,7 +106,7 @@ thread_local! {
 /// The kernel.
 struct Solve<'a, const N: usize> {
     batch: &'a Batch<N>,
-    solved: &'a mut Solved<N>,
+    solved: &'a mut Solved,
 }
 
 impl<const N: usize> WithSimd for Solve<'_, N> {
@@ -134,8 +137,8 @@ impl<const N: usize> Batch<N> {
         for (i, p) in pieces.iter().enumerate().take(N) {
             (self.x0[i][l], self.y0[i][l]) = (p.x0, p.y0);
             (self.x1[i][l], self.y1[i][l]) = (p.x1, p.y1);
-            (self.step[i][l], self.steps[i][l]) = (f64::from(p.step), p.step);
-            (self.flags[i][l], self.edge[i][l]) = (u64::from(p.flags), p.edge);
+            self.step[i][l] = f64::from(p.step);
+            self.words[i][l] = u64::from(p.edge) << EDGE | u64::from(p.flags);
         }
         self.most = self.most.max(pieces.len());
         self.count = l + 1;
@@ -156,19 +159,19 @@ impl<const N: usize> Batch<N> {
             y0: self.y0[i][l],
             x1: self.x1[i][l],
             y1: self.y1[i][l],
-            step: self.steps[i][l],
-            edge: self.edge[i][l],
-            flags: self.flags[i][l] as u8,
+            step: self.step[i][l] as i32,
+            edge: (self.words[i][l] >> EDGE) as u32,
+            flags: self.words[i][l] as u8,
         })
     }
 
     /// Covered areas, and what is visible of the pieces.
-    pub(super) fn solve(&self, solved: &mut Solved<N>) {
+    pub(super) fn solve(&self, solved: &mut Solved) {
         ARCH.with(|arch| arch.dispatch(Solve { batch: self, solved }));
     }
 
     #[inline(always)]
-    fn solve_register<S: Simd>(&self, s: S, k: usize, solved: &mut Solved<N>) {
+    fn solve_register<S: Simd>(&self, s: S, k: usize, solved: &mut Solved) {
         let load = |lanes: &Lanes| S::as_simd_f64s(lanes).0[k];
         let zero = s.splat_f64s(0.0);
         let (one, half) = (s.splat_f64s(1.0), s.splat_f64s(0.5));
@@ -197,7 +200,7 @@ impl<const N: usize> Batch<N> {
                 (x1[i], y1[i]) =
                     (s.select_f64s(missing, aside, x1[i]), s.select_f64s(missing, one, y1[i]));
             }
-            let flags = S::as_simd_u64s(&self.flags[i]).0[k];
+            let flags = S::as_simd_u64s(&self.words[i]).0[k];
             let has = |flag: u8| {
                 let flag = s.splat_u64s(u64::from(flag));
                 let set = s.equal_u64s(s.and_u64s(flags, flag), flag);
@@ -304,6 +307,7 @@ impl<const N: usize> Batch<N> {
             let whole = s.mul_f64s(half, s.add_f64s(x0[i], x1[i]));
             let cut = s.greater_than_f64s(crossings[i], zero);
             let (mut left, mut from) = (layers[i], y0[i]);
+            let out = &mut solved.pieces[i];
             for k in 0..parts {
                 let to = if k + 1 < parts { at[k][i] } else { y1[i] };
                 let covered = |layers| when(s.greater_than_f64s(layers, zero), one);
@@ -313,11 +317,11 @@ impl<const N: usize> Batch<N> {
                 let x = s.add_f64s(x0[i], s.mul_f64s(s.sub_f64s(middle, y0[i]), slope[i]));
                 let x = if k == 0 { s.select_f64s(cut, x, whole) } else { x };
                 area = s.add_f64s(area, s.mul_f64s(height, x));
-                if k == 0 {
-                    store(&mut solved.shown[i], shown);
+                if N == 1 {
+                    store(&mut out.first, shown);
                 }
-                store(&mut solved.heights[i][k], height);
-                store(&mut solved.middles[i][k], middle);
+                store(&mut out.heights[k], height);
+                store(&mut out.middles[k], middle);
                 if k + 1 < parts {
                     (left, from) = (s.add_f64s(left, change[k][i]), to);
                 }

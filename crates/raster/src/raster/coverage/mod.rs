@@ -50,8 +50,6 @@ struct Worker {
     solver: Solver,
     turned: Vec<Piece>,
     segments: Vec<Segment>,
-    /// How many segments the last image had: those of a batch are like each other.
-    expected: usize,
 }
 
 thread_local! {
@@ -159,13 +157,11 @@ fn areas<T: Pixel>(
     let edges = &outline.edges[..];
     let paint = |band: Extent, origin, out: &mut [T], trace: Option<&mut Trace>| {
         lend(&WORKER, |worker| {
-            let Worker { rows, solver, turned, segments, expected } = worker;
+            let Worker { rows, solver, turned, segments } = worker;
             let written = 0;
             if let Some(Trace { segments, .. }) = trace {
-                segments.reserve(*expected + *expected / 8);
                 let mut target = Target { out, stride, origin, written, segments, solver, turned };
                 walk::<T, true, true>(rows, edges, band, &mut target);
-                *expected = segments.len();
             } else {
                 let mut target = Target { out, stride, origin, written, segments, solver, turned };
                 walk::<T, true, false>(rows, edges, band, &mut target);
@@ -262,7 +258,7 @@ fn forces<T: Pixel>(
     let edges = &outline.edges[..];
     let one = |band: Extent, weights: &[T], du: &mut [f64], dv: &mut [f64]| {
         lend(&WORKER, |worker| {
-            let Worker { rows, solver, turned, segments, .. } = worker;
+            let Worker { rows, solver, turned, segments } = worker;
             segments.clear();
             let origin = (band.rows.0, first);
             let mut target =

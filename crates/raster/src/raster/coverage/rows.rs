@@ -9,7 +9,7 @@ use super::cell::Piece;
 use super::columns::{
     Columns, LEFT_FIRST, LEFT_ON, MOST_STEPS, NOT_AT_ALL, RIGHT_FIRST, RIGHT_LAST, RIGHT_ON, Todo,
 };
-use super::lanes::{Batch, Place, Solved};
+use super::lanes::{self, Batch, Place, Solved};
 use super::parts::{self, Group};
 use super::target::Target;
 
@@ -32,14 +32,15 @@ pub(super) struct Rows {
 /// Pixels that wait for others with the same number of pieces.
 #[derive(Debug, Default)]
 struct Batches {
-    one: (Batch<1>, Solved<1>),
-    two: (Batch<2>, Solved<2>),
-    three: (Batch<3>, Solved<3>),
-    four: (Batch<4>, Solved<4>),
-    five: (Batch<5>, Solved<5>),
-    six: (Batch<6>, Solved<6>),
-    eight: (Batch<8>, Solved<8>),
-    sixteen: (Batch<16>, Solved<16>),
+    one: Batch<1>,
+    two: Batch<2>,
+    three: Batch<3>,
+    four: Batch<4>,
+    five: Batch<5>,
+    six: Batch<6>,
+    eight: Batch<8>,
+    sixteen: Batch<{ lanes::MOST }>,
+    solved: Solved,
 }
 
 /// Go over the rows of an extent. With `AREAS`, every pixel of the extent is written; with
@@ -217,43 +218,48 @@ impl Batches {
     ) {
         match pieces.len() {
             1 => {
-                if self.one.0.push(place, pieces) {
-                    finish::<T, 1, AREAS, TRACED>(&mut self.one, edges, target);
+                if self.one.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(&mut self.one, &mut self.solved, edges, target);
                 }
             }
             2 => {
-                if self.two.0.push(place, pieces) {
-                    finish::<T, 2, AREAS, TRACED>(&mut self.two, edges, target);
+                if self.two.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(&mut self.two, &mut self.solved, edges, target);
                 }
             }
             3 => {
-                if self.three.0.push(place, pieces) {
-                    finish::<T, 3, AREAS, TRACED>(&mut self.three, edges, target);
+                if self.three.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(&mut self.three, &mut self.solved, edges, target);
                 }
             }
             4 => {
-                if self.four.0.push(place, pieces) {
-                    finish::<T, 4, AREAS, TRACED>(&mut self.four, edges, target);
+                if self.four.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(&mut self.four, &mut self.solved, edges, target);
                 }
             }
             5 => {
-                if self.five.0.push(place, pieces) {
-                    finish::<T, 5, AREAS, TRACED>(&mut self.five, edges, target);
+                if self.five.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(&mut self.five, &mut self.solved, edges, target);
                 }
             }
             6 => {
-                if self.six.0.push(place, pieces) {
-                    finish::<T, 6, AREAS, TRACED>(&mut self.six, edges, target);
+                if self.six.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(&mut self.six, &mut self.solved, edges, target);
                 }
             }
             7 | 8 => {
-                if self.eight.0.push(place, pieces) {
-                    finish::<T, 8, AREAS, TRACED>(&mut self.eight, edges, target);
+                if self.eight.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(&mut self.eight, &mut self.solved, edges, target);
                 }
             }
             9..=16 => {
-                if self.sixteen.0.push(place, pieces) {
-                    finish::<T, 16, AREAS, TRACED>(&mut self.sixteen, edges, target);
+                if self.sixteen.push(place, pieces) {
+                    finish::<T, _, AREAS, TRACED>(
+                        &mut self.sixteen,
+                        &mut self.solved,
+                        edges,
+                        target,
+                    );
                 }
             }
             _ => target.solve::<AREAS, TRACED>(edges, place, pieces),
@@ -266,21 +272,22 @@ impl Batches {
         edges: &[NetEdge],
         target: &mut Target<'_, T>,
     ) {
-        finish::<T, 1, AREAS, TRACED>(&mut self.one, edges, target);
-        finish::<T, 2, AREAS, TRACED>(&mut self.two, edges, target);
-        finish::<T, 3, AREAS, TRACED>(&mut self.three, edges, target);
-        finish::<T, 4, AREAS, TRACED>(&mut self.four, edges, target);
-        finish::<T, 5, AREAS, TRACED>(&mut self.five, edges, target);
-        finish::<T, 6, AREAS, TRACED>(&mut self.six, edges, target);
-        finish::<T, 8, AREAS, TRACED>(&mut self.eight, edges, target);
-        finish::<T, 16, AREAS, TRACED>(&mut self.sixteen, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.one, &mut self.solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.two, &mut self.solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.three, &mut self.solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.four, &mut self.solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.five, &mut self.solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.six, &mut self.solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.eight, &mut self.solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.sixteen, &mut self.solved, edges, target);
     }
 }
 
 /// Solve a batch and hand out what came of it.
 #[inline(always)]
 fn finish<T: Pixel, const N: usize, const AREAS: bool, const TRACED: bool>(
-    (batch, solved): &mut (Batch<N>, Solved<N>),
+    batch: &mut Batch<N>,
+    solved: &mut Solved,
     edges: &[NetEdge],
     target: &mut Target<'_, T>,
 ) {
@@ -304,7 +311,7 @@ fn finish<T: Pixel, const N: usize, const AREAS: bool, const TRACED: bool>(
             target.set(place.pixel, solved.area[l]);
         }
         if TRACED {
-            target.trace(edges, place, batch.pieces(l), solved, l);
+            target.trace::<N>(edges, place, batch.pieces(l), solved, l);
         }
     }
     batch.clear();

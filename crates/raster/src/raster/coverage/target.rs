@@ -89,14 +89,14 @@ impl<T: Pixel> Target<'_, T> {
         edges: &[NetEdge],
         place: Place,
         pieces: impl Iterator<Item = Piece>,
-        solved: &Solved<N>,
+        solved: &Solved,
         lane: usize,
     ) {
         let (pixel, row) = (place.pixel, f64::from(place.row));
         for (i, p) in pieces.enumerate() {
             let e = &edges[p.edge as usize];
             if N == 1 && !e.is_steep() {
-                let shown = solved.shown[i][lane];
+                let shown = solved.pieces[i].first[lane];
                 if shown != 0.0 {
                     let (u, v) = (shown * (p.y1 - p.y0), shown * (p.x0 - p.x1));
                     let middle = 0.5 * (p.x0 + p.x1) + f64::from(place.column);
@@ -106,9 +106,9 @@ impl<T: Pixel> Target<'_, T> {
                 continue;
             }
             for k in 0..PARTS.min(N) {
-                let height = solved.heights[i][k][lane];
+                let height = solved.pieces[i].heights[k][lane];
                 if height != 0.0 {
-                    let middle = solved.middles[i][k][lane];
+                    let middle = solved.pieces[i].middles[k][lane];
                     self.segments.push(Segment::steep(e, pixel, row, height, middle));
                 }
             }

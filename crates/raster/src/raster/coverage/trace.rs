@@ -5,6 +5,7 @@
 //! the edge by where its middle lies between them.
 
 use super::super::outline::Extent;
+use super::super::spare::Spare;
 use super::super::{Mode, Model, Pixel, Size};
 
 /// The outline of an image.
@@ -15,9 +16,17 @@ pub struct Trace {
     pub(super) segments: Vec<Segment>,
 }
 
+static SPARE: Spare<Segment> = Spare::new();
+
+impl Drop for Trace {
+    fn drop(&mut self) {
+        SPARE.give(std::mem::take(&mut self.segments));
+    }
+}
+
 impl Trace {
     pub(super) fn new(of: Kind, extent: Extent) -> Self {
-        Self { of, extent, segments: Vec::new() }
+        Self { of, extent, segments: SPARE.take() }
     }
 
     /// Memory in bytes.

@@ -42,6 +42,7 @@ mod tiles;
 use self::faces::Source;
 use self::real::Real;
 use self::tiles::{Tiles, Units};
+use super::spare::Spare;
 use super::trace::Trace;
 use super::{Mode, Model, Pixel, Screen, Size};
 
@@ -54,15 +55,27 @@ pub(super) struct Kept {
 
 #[derive(Debug, Clone)]
 enum Values {
-    Single(Box<[[f32; real::LANES]]>),
-    Double(Box<[[f64; real::LANES]]>),
+    Single(Vec<[f32; real::LANES]>),
+    Double(Vec<[f64; real::LANES]>),
+}
+
+static SPARE_SINGLE: Spare<[f32; real::LANES]> = Spare::new();
+static SPARE_DOUBLE: Spare<[f64; real::LANES]> = Spare::new();
+
+impl Drop for Kept {
+    fn drop(&mut self) {
+        match &mut self.values {
+            Values::Single(values) => SPARE_SINGLE.give(std::mem::take(values)),
+            Values::Double(values) => SPARE_DOUBLE.give(std::mem::take(values)),
+        }
+    }
 }
 
 impl Kept {
     pub(super) fn bytes(&self) -> usize {
         match &self.values {
-            Values::Single(values) => size_of_val(&**values),
-            Values::Double(values) => size_of_val(&**values),
+            Values::Single(values) => size_of_val(values.as_slice()),
+            Values::Double(values) => size_of_val(values.as_slice()),
         }
     }
 
@@ -133,12 +146,20 @@ impl Profile {
         let values = if self.is_single::<T>(size) {
             f32::with_scratch(|scratch| {
                 self.draw_as(scratch, model, screen, size, out);
-                traced.then(|| Values::Single(scratch.tiles.values.as_slice().into()))
+                traced.then(|| {
+                    let mut values = SPARE_SINGLE.take();
+                    values.extend_from_slice(&scratch.tiles.values);
+                    Values::Single(values)
+                })
             })
         } else {
             f64::with_scratch(|scratch| {
                 self.draw_as(scratch, model, screen, size, out);
-                traced.then(|| Values::Double(scratch.tiles.values.as_slice().into()))
+                traced.then(|| {
+                    let mut values = SPARE_DOUBLE.take();
+                    values.extend_from_slice(&scratch.tiles.values);
+                    Values::Double(values)
+                })
             })
         };
         let vertices = model.vertex_count();
