@@ -128,21 +128,42 @@ impl<const N: usize> Batch<N> {
         self.places[l] = place;
         self.layers[l] = f64::from(place.layers);
         self.pieces[l] = pieces.len();
-        if N > UNROLLED {
+        if let (true, Some(pieces)) = (N <= UNROLLED, pieces.first_chunk::<N>()) {
+            for i in 0..N {
+                self.set(i, l, &pieces[i]);
+            }
+        } else {
             // Others may have more.
             for i in 0..N {
                 self.step[i][l] = 0.0;
             }
-        }
-        for (i, p) in pieces.iter().enumerate().take(N) {
-            (self.x0[i][l], self.y0[i][l]) = (p.x0, p.y0);
-            (self.x1[i][l], self.y1[i][l]) = (p.x1, p.y1);
-            self.step[i][l] = f64::from(p.step);
-            self.words[i][l] = u64::from(p.edge) << EDGE | u64::from(p.flags);
+            for (i, p) in pieces.iter().enumerate().take(N) {
+                self.set(i, l, p);
+            }
         }
         self.most = self.most.max(pieces.len());
         self.count = l + 1;
         self.count == WIDE
+    }
+
+    #[inline(always)]
+    fn set(&mut self, i: usize, l: usize, p: &Piece) {
+        (self.x0[i][l], self.y0[i][l]) = (p.x0, p.y0);
+        (self.x1[i][l], self.y1[i][l]) = (p.x1, p.y1);
+        self.step[i][l] = f64::from(p.step);
+        self.words[i][l] = u64::from(p.edge) << EDGE | u64::from(p.flags);
+    }
+
+    /// How many pieces a pixel has.
+    #[inline(always)]
+    pub(super) fn count_of(&self, l: usize) -> usize {
+        if N <= UNROLLED { N } else { self.pieces[l].min(N) }
+    }
+
+    /// The edge of a piece.
+    #[inline(always)]
+    pub(super) fn edge(&self, i: usize, l: usize) -> usize {
+        (self.words[i][l] >> EDGE) as usize
     }
 
     /// Begin another batch.
@@ -151,18 +172,18 @@ impl<const N: usize> Batch<N> {
         (self.count, self.most) = (0, 0);
     }
 
-    /// The pieces of a pixel.
+    /// A piece of a pixel.
     #[inline(always)]
-    pub(super) fn pieces(&self, l: usize) -> impl Iterator<Item = Piece> {
-        (0..self.pieces[l].min(N)).map(move |i| Piece {
+    pub(super) fn piece(&self, i: usize, l: usize) -> Piece {
+        Piece {
             x0: self.x0[i][l],
             y0: self.y0[i][l],
             x1: self.x1[i][l],
             y1: self.y1[i][l],
             step: self.step[i][l] as i32,
-            edge: (self.words[i][l] >> EDGE) as u32,
+            edge: self.edge(i, l) as u32,
             flags: self.words[i][l] as u8,
-        })
+        }
     }
 
     /// Covered areas, and what is visible of the pieces.

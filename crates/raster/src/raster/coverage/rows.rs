@@ -298,20 +298,15 @@ fn finish<T: Pixel, const N: usize, const AREAS: bool, const TRACED: bool>(
     for l in 0..batch.count {
         let place = batch.places[l];
         if N > 1 && solved.handed_back[l] > 0.0 {
-            let mut pieces = [Piece::default(); N];
-            let mut count = 0;
-            for piece in batch.pieces(l) {
-                pieces[count] = piece;
-                count += 1;
-            }
-            target.solve::<AREAS, TRACED>(edges, place, &pieces[..count]);
+            let pieces: [Piece; N] = std::array::from_fn(|i| batch.piece(i, l));
+            target.solve::<AREAS, TRACED>(edges, place, &pieces[..batch.count_of(l)]);
             continue;
         }
         if AREAS {
             target.set(place.pixel, solved.area[l]);
         }
         if TRACED {
-            target.trace::<N>(edges, place, batch.pieces(l), solved, l);
+            target.trace(edges, batch, solved, l);
         }
     }
     batch.clear();

@@ -4,7 +4,7 @@ use super::super::Pixel;
 use super::super::outline::{Extent, NetEdge};
 use super::UNIT;
 use super::cell::{Piece, transposed};
-use super::lanes::{PARTS, Place, Solved};
+use super::lanes::{Batch, PARTS, Place, Solved};
 use super::solver::{Sink, Solver};
 use super::trace::Segment;
 
@@ -87,16 +87,16 @@ impl<T: Pixel> Target<'_, T> {
     pub(super) fn trace<const N: usize>(
         &mut self,
         edges: &[NetEdge],
-        place: Place,
-        pieces: impl Iterator<Item = Piece>,
+        batch: &Batch<N>,
         solved: &Solved,
         lane: usize,
     ) {
+        let place = batch.places[lane];
         let (pixel, row) = (place.pixel, f64::from(place.row));
-        for (i, p) in pieces.enumerate() {
-            let e = &edges[p.edge as usize];
+        for i in 0..batch.count_of(lane) {
+            let e = &edges[batch.edge(i, lane)];
             if N == 1 && !e.is_steep() {
-                let shown = solved.pieces[i].first[lane];
+                let (p, shown) = (batch.piece(i, lane), solved.pieces[i].first[lane]);
                 if shown != 0.0 {
                     let (u, v) = (shown * (p.y1 - p.y0), shown * (p.x0 - p.x1));
                     let middle = 0.5 * (p.x0 + p.x1) + f64::from(place.column);
