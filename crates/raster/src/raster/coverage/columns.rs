@@ -29,7 +29,7 @@ pub(super) struct Todo {
 /// A row of columns.
 #[derive(Debug, Default)]
 pub(super) struct Columns {
-    columns: usize,
+    width: usize,
     /// Change of layers at the lower left corner, from the column before.
     change: Vec<i32>,
     /// How many pieces enter.
@@ -101,7 +101,7 @@ impl Columns {
     pub(super) fn begin(&mut self, columns: usize) {
         let chunks = (columns + 2).div_ceil(CHUNK) + 1;
         let all = CHUNK * (chunks + 1);
-        self.columns = columns;
+        self.width = columns;
         clear(&mut self.change, all, 0);
         clear(&mut self.count, all, 0);
         clear(&mut self.taken, all, 0);
@@ -158,8 +158,8 @@ impl Columns {
         todo.clear();
         for chunk in 0..self.touched.len() {
             // The columns of the chunk on the canvas.
-            let first = (chunk * CHUNK).saturating_sub(CHUNK).min(self.columns);
-            let inside = if chunk == 0 { 0 } else { (self.columns - first).min(CHUNK) };
+            let first = (chunk * CHUNK).saturating_sub(CHUNK).min(self.width);
+            let inside = if chunk == 0 { 0 } else { (self.width - first).min(CHUNK) };
             let line = if out.is_empty() { &mut [][..] } else { &mut out[first..first + inside] };
             if std::mem::take(&mut self.touched[chunk]) {
                 self.scan_chunk(chunk, told_apart, first, inside, line, todo);

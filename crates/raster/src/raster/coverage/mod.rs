@@ -14,6 +14,7 @@
 
 #![expect(
     clippy::inline_always,
+    clippy::needless_bitwise_bool,
     clippy::needless_range_loop,
     reason = "lanes: a function that is not inlined loses the instruction set of its caller"
 )]
@@ -23,6 +24,7 @@ mod columns;
 mod lanes;
 mod pairs;
 mod parts;
+mod register;
 mod rows;
 mod solver;
 mod target;
