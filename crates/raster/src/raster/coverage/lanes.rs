@@ -7,7 +7,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::cell::Piece;
-use super::register::Register;
+use super::register;
 
 /// Pixels of a batch: a register of `f64`.
 pub(super) const WIDE: usize = 8;
@@ -116,7 +116,7 @@ impl<const N: usize> WithSimd for Solve<'_, N> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, s: S) {
         for k in 0..WIDE / S::F64_LANES {
-            Register::load(s, self.batch, k).solve(self.solved, k);
+            register::solve(s, self.batch, k, self.solved);
         }
     }
 }
