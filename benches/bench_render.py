@@ -112,9 +112,9 @@ KINDS = (("hard", False), ("coverage", False), ("coverage", True), ("dibr", Fals
 
 
 def growth(title: str, scenes: list[tuple[str, Scene]], seconds: float) -> list[dict[str, Any]]:
-    """Least milliseconds an image of some modes, one thread, of the processor."""
+    """Milliseconds of the processor an image, in the quickest run, of some modes, one thread."""
     heads = [name + (" + gradient" if backward else "") for name, backward in KINDS]
-    print(f"\n{title}, one thread, processor ms an image, least of three or more\n")
+    print(f"\n{title}, one thread, processor ms an image, the quickest of three or more\n")
     print("| | " + " | ".join(heads) + " |\n|--:|" + "--:|" * len(heads))
     found = []
     for label, scene in scenes:

@@ -156,24 +156,41 @@ impl Columns {
         std::mem::swap(&mut self.upper, &mut self.lower);
         let total = self.add_up();
         todo.clear();
-        for chunk in 0..self.touched.len() {
-            // The columns of the chunk on the canvas.
-            let first = (chunk * CHUNK).saturating_sub(CHUNK).min(self.width);
-            let inside = if chunk == 0 { 0 } else { (self.width - first).min(CHUNK) };
-            let line = if out.is_empty() { &mut [][..] } else { &mut out[first..first + inside] };
+        let mut chunk = 0;
+        while chunk < self.touched.len() {
+            // The columns of the chunks on the canvas.
+            let first = self.column_of(chunk);
             if std::mem::take(&mut self.touched[chunk]) {
-                self.scan_chunk(chunk, told_apart, first, inside, line, todo);
-            } else {
-                let covered = self.upper[chunk * CHUNK] > 0;
+                let next = self.column_of(chunk + 1);
+                let line = if out.is_empty() { &mut [][..] } else { &mut out[first..next] };
+                self.scan_chunk(chunk, told_apart, first, next - first, line, todo);
+                chunk += 1;
+                continue;
+            }
+            let covered = self.upper[chunk * CHUNK] > 0;
+            chunk = self.next_touched(chunk);
+            if !out.is_empty() {
                 let value = if covered { T::from_f64(1.0) } else { T::default() };
-                if let Some(line) = line.first_chunk_mut::<CHUNK>() {
-                    *line = [value; CHUNK];
-                } else {
-                    line.fill(value);
-                }
+                out[first..self.column_of(chunk)].fill(value);
             }
         }
         total
+    }
+
+    /// The first column of a chunk on the canvas; its width, of those that are right of it.
+    #[inline(always)]
+    fn column_of(&self, chunk: usize) -> usize {
+        (chunk * CHUNK).saturating_sub(CHUNK).min(self.width)
+    }
+
+    /// The first chunk from one on in which anything is, or their number.
+    #[inline(always)]
+    fn next_touched(&self, chunk: usize) -> usize {
+        let mut next = chunk;
+        while next < self.touched.len() && !self.touched[next] {
+            next += 1;
+        }
+        next
     }
 
     /// Add up layers and places. A loop of its own: what it writes one by one is on its way to
@@ -181,8 +198,15 @@ impl Columns {
     #[inline(always)]
     fn add_up(&mut self) -> u32 {
         let (mut layers, mut total) = (0, 0);
-        for (chunk, touched) in self.touched.iter().enumerate() {
+        let mut chunk = 0;
+        while chunk < self.touched.len() {
             let base = chunk * CHUNK;
+            if !self.touched[chunk] {
+                chunk = self.next_touched(chunk);
+                self.lower[base..chunk * CHUNK].fill(layers);
+                continue;
+            }
+            chunk += 1;
             let (Some(change), Some(count), Some(lower), Some(place)) = (
                 self.change[base..].first_chunk::<CHUNK>(),
                 self.count[base..].first_chunk::<CHUNK>(),
@@ -191,10 +215,6 @@ impl Columns {
             ) else {
                 break;
             };
-            if !touched {
-                *lower = [layers; CHUNK];
-                continue;
-            }
             for l in 0..CHUNK {
                 layers += change[l];
                 lower[l] = layers;

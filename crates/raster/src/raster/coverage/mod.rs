@@ -110,11 +110,16 @@ pub(super) fn draw_traced<T: Pixel>(
             let (height, width) = kernel.padded(size);
             outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
             let extent = outline.extent(height, width);
-            // Those who work on an image as a whole write all of it.
-            let whole =
-                extent.is_some_and(|e| kernel.radius() == 0 && rows_of_band(e) == e.height());
-            if !whole {
-                clear(out);
+            // Those who work on an image as a whole write all of it, and those who work on bands
+            // the rows of these.
+            match extent {
+                Some(extent) if kernel.radius() == 0 => {
+                    if rows_of_band(extent) < extent.height() {
+                        clear(&mut out[..extent.rows.0 * size.width]);
+                        clear(&mut out[extent.rows.1 * size.width..]);
+                    }
+                }
+                _ => clear(out),
             }
             let extent = extent?;
             let kind = Kind { vertices: model.vertex_count(), size, sigma };
