@@ -192,3 +192,62 @@ impl<const N: usize> Batch<N> {
         ARCH.with(|arch| arch.dispatch(Solve { batch: self, solved }));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::cell::{LEFT_0, LEFT_1, RIGHT_0, RIGHT_1, TOP};
+    use super::*;
+
+    fn compare<const N: usize>(next: &mut impl FnMut() -> f64) {
+        let mut batch = Batch::<N>::default();
+        for k in 0..WIDE {
+            let pieces: Vec<Piece> = (0..if N > UNROLLED { N - k % 3 } else { N })
+                .map(|_| {
+                    let (a, b) = (next(), next());
+                    let sides = [TOP, LEFT_0, LEFT_1, RIGHT_0, RIGHT_1, 0];
+                    Piece {
+                        x0: next(),
+                        y0: a.min(b),
+                        x1: next(),
+                        y1: a.max(b),
+                        step: if next() < 0.5 { 1 } else { -1 },
+                        edge: 7,
+                        flags: sides[(next() * 6.0) as usize],
+                    }
+                })
+                .collect();
+            let layers = (next() * 3.0) as i32;
+            assert_eq!(batch.push(Place { layers, ..Place::default() }, &pieces), k + 1 == WIDE);
+            let again: Vec<_> = (0..batch.count_of(k)).map(|i| batch.piece(i, k)).collect();
+            assert_eq!(format!("{again:?}"), format!("{pieces:?}"));
+        }
+        let (mut widest, mut scalar) = (Solved::default(), Solved::default());
+        batch.solve(&mut widest);
+        for k in 0..WIDE {
+            register::solve(pulp::Scalar, &batch, k, &mut scalar);
+        }
+        assert_eq!(widest.area, scalar.area);
+        assert_eq!(widest.handed_back, scalar.handed_back);
+        for i in 0..batch.most {
+            assert_eq!(widest.pieces[i].first, scalar.pieces[i].first);
+            assert_eq!(widest.pieces[i].heights, scalar.pieces[i].heights);
+        }
+    }
+
+    #[test]
+    fn every_width_of_register_gives_the_same_bits() {
+        let mut seed = 11_u64;
+        let mut next = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (seed >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        for _ in 0..50 {
+            compare::<1>(&mut next);
+            compare::<2>(&mut next);
+            compare::<4>(&mut next);
+            compare::<6>(&mut next);
+            compare::<8>(&mut next);
+            compare::<16>(&mut next);
+        }
+    }
+}

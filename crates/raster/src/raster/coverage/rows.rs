@@ -55,6 +55,18 @@ pub(super) fn walk<T: Pixel, const AREAS: bool, const TRACED: bool>(
     ARCH.with(|arch| arch.dispatch(walk));
 }
 
+/// As [`walk`], on one instruction set.
+#[cfg(test)]
+pub(super) fn walk_on<S: Simd, T: Pixel>(
+    s: S,
+    rows: &mut Rows,
+    edges: &[NetEdge],
+    extent: Extent,
+    target: &mut Target<'_, T>,
+) {
+    s.vectorize(Walk::<T, true, true> { rows, edges, extent, target });
+}
+
 thread_local! {
     static ARCH: Arch = Arch::new();
 }

@@ -305,3 +305,33 @@ fn a_kept_outline_gives_the_same_gradient() {
         assert!(refused.to_string().contains("traces"), "{refused}");
     }
 }
+
+#[test]
+fn every_instruction_set_gives_the_same_bits() {
+    fn areas<S: pulp::Simd>(s: S, outline: &Outline, extent: Extent, size: Size) -> Vec<f64> {
+        let mut worker = Worker::default();
+        let Worker { rows, solver, turned, segments } = &mut worker;
+        let mut out = vec![f64::NAN; size.pixels()];
+        let (stride, origin, written) = (size.width, (0, 0), 0);
+        let mut target =
+            Target { out: &mut out, stride, origin, written, segments, solver, turned };
+        rows::walk_on(s, rows, &outline.edges, extent, &mut target);
+        out
+    }
+    let mut seed = 3;
+    let points: Vec<[f64; 2]> = (0..90)
+        .map(|_| [random(&mut seed) * 80.0 - 10.0, random(&mut seed) * 50.0 - 5.0])
+        .collect();
+    let faces: Vec<[u32; 3]> = (0..30).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+    let size = Size { height: 40, width: 61 };
+    let (model, screen) = flat(&points, &faces);
+    let mut outline = Outline::default();
+    outline.find(&model, &screen, 0.0, 40.0, 61.0);
+    let extent = outline.extent(40, 61).expect("seen");
+    let expected = mask(&points, &faces, size, 0.0);
+    assert_eq!(areas(pulp::Scalar, &outline, extent, size), expected);
+    #[cfg(target_arch = "x86_64")]
+    if let Some(avx2) = pulp::x86::V3::try_new() {
+        assert_eq!(areas(avx2, &outline, extent, size), expected);
+    }
+}
