@@ -8,8 +8,6 @@
 use std::cell::RefCell;
 use std::ops::Range;
 
-use pulp::{Arch, Simd, WithSimd};
-
 use super::outline::{Extent, Net, NetEdge, Outline};
 use super::{Model, Pixel, Screen, Size};
 
@@ -54,12 +52,10 @@ thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
 
-/// Leaves no room for digits after the point.
-const SHIFT: f64 = 1.5 * (1_u64 << 52) as f64;
-
 /// The nearest whole number, even if there are two, for up to 31 bits.
 #[inline(always)]
 fn nearest(x: f64) -> (f64, i32) {
+    const SHIFT: f64 = 1.5 * (1_u64 << 52) as f64; // leaves no room for digits after the point
     let shifted = x + SHIFT;
     (shifted - SHIFT, shifted.to_bits() as i32)
 }
@@ -150,95 +146,30 @@ fn sort(
     crossings: &mut Vec<Crossing>,
     borders: &mut Vec<NetEdge>,
 ) -> Extent {
+    let Size { height, width } = size;
     // Every edge is written, and stays if it crosses a line.
     crossings.resize(net.count() + 1, Crossing::default());
-    let sorted = ARCH.with(|arch| arch.dispatch(Sort { net, size, crossings, borders }));
-    crossings.truncate(sorted.count);
-    let [low, high] = sorted.columns;
-    let (left, right) = (first_from(low - 1.0, size.width), first_from(high, size.width));
-    Extent { rows: sorted.rows, columns: (left, right.max(left)) }
-}
-
-thread_local! {
-    static ARCH: Arch = Arch::new();
-}
-
-/// Edges that are looked at together: the widest register.
-const LANES: usize = 8;
-
-/// See [`sort`].
-struct Sort<'a> {
-    net: &'a Net<'a>,
-    size: Size,
-    crossings: &'a mut [Crossing],
-    borders: &'a mut Vec<NetEdge>,
-}
-
-/// How many edges cross a line, the rows in which they do, and the leftmost and rightmost end.
-struct Sorted {
-    count: usize,
-    rows: (usize, usize),
-    columns: [f64; 2],
-}
-
-impl WithSimd for Sort<'_> {
-    type Output = Sorted;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, s: S) -> Sorted {
-        let Self { net, size, crossings, borders } = self;
-        let bias = s.splat_f64s(SHIFT);
-        let (zero, one, half) = (s.splat_f64s(0.0), s.splat_f64s(1.0), s.splat_f64s(0.5));
-        let height = s.splat_f64s(size.height as f64);
-        let nearest = |x| s.sub_f64s(s.add_f64s(x, bias), bias);
-        let first_from = |x| {
-            let x = s.min_f64s(s.max_f64s(x, zero), height);
-            let near = nearest(x);
-            s.add_f64s(near, s.select_f64s(s.less_than_f64s(near, x), one, zero))
-        };
-        let (mut low, mut high) = (s.splat_f64s(f64::INFINITY), s.splat_f64s(f64::NEG_INFINITY));
-        let (mut top, mut bottom) = (height, zero);
-        let mut count = 0;
-        let [mut xa, mut ya, mut xb, mut yb] = [[0.0; LANES]; 4];
-        let [mut first, mut after, mut on_line] = [[0.0_f64; LANES]; 3];
-        let mut begin = 0;
-        while begin < net.count() {
-            let n = (net.count() - begin).min(LANES);
-            for l in 0..LANES {
-                // The last one again, which changes nothing.
-                let [a, b] = net.ends(begin + l.min(n - 1));
-                (xa[l], ya[l], xb[l], yb[l]) = (a.0, a.1, b.0, b.1);
-            }
-            for k in 0..LANES / S::F64_LANES {
-                let load = |lanes: &[f64; LANES]| S::as_simd_f64s(lanes).0[k];
-                let (xa, ya, xb, yb) = (load(&xa), load(&ya), load(&xb), load(&yb));
-                low = s.min_f64s(low, s.min_f64s(xa, xb));
-                high = s.max_f64s(high, s.max_f64s(xa, xb));
-                let upper = s.sub_f64s(s.min_f64s(ya, yb), half);
-                let lower = s.sub_f64s(s.max_f64s(ya, yb), half);
-                let (from, to) = (first_from(upper), first_from(lower));
-                top = s.min_f64s(top, from);
-                bottom = s.max_f64s(bottom, to);
-                let level = s.select_f64s(s.equal_f64s(nearest(lower), lower), one, zero);
-                S::as_mut_simd_f64s(&mut first).0[k] = s.add_f64s(from, bias);
-                S::as_mut_simd_f64s(&mut after).0[k] = s.add_f64s(to, bias);
-                S::as_mut_simd_f64s(&mut on_line).0[k] = level;
-            }
-            for l in 0..n {
-                let edge = (begin + l) as u32;
-                let [first, after] = [first[l], after[l]].map(|x| x.to_bits() as u32);
-                crossings[count] = Crossing { edge, first, after };
-                count += usize::from(first < after);
-                if on_line[l] != 0.0 {
-                    borders.push(net.edge(begin + l));
-                }
-            }
-            begin += LANES;
+    let mut count = 0;
+    let (mut top, mut bottom) = (height, 0);
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for k in 0..net.count() {
+        let [a, b] = net.ends(k);
+        let (upper, lower) = (if a.1 < b.1 { a.1 } else { b.1 }, if a.1 < b.1 { b.1 } else { a.1 });
+        for (x, _) in [a, b] {
+            low = if x < low { x } else { low };
+            high = if x > high { x } else { high };
         }
-        let rows = (s.reduce_min_f64s(top) as usize, s.reduce_max_f64s(bottom) as usize);
-        let columns = [s.reduce_min_f64s(low), s.reduce_max_f64s(high)];
-        Sorted { count, rows, columns }
+        let (first, after) = (first_from(upper - 0.5, height), first_from(lower - 0.5, height));
+        crossings[count] = Crossing { edge: k as u32, first: first as u32, after: after as u32 };
+        count += usize::from(first < after);
+        (top, bottom) = (top.min(first), bottom.max(after));
+        if nearest(lower - 0.5).0 == lower - 0.5 {
+            borders.push(net.edge(k));
+        }
     }
+    crossings.truncate(count);
+    let (left, right) = (first_from(low - 1.0, width), first_from(high, width));
+    Extent { rows: (top, bottom), columns: (left, right.max(left)) }
 }
 
 impl Table {

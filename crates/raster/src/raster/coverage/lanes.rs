@@ -4,14 +4,15 @@
 //! every tie. Pixels that need more than that are handed back: where pieces run along each other,
 //! a piece is horizontal, or is crossed by more than three others.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::cell::Piece;
 use super::register;
 
-/// Pixels of a batch: a register of `f64`.
+/// Pixels of a batch, and edges of a group: the widest register of `f64`.
 pub(super) const WIDE: usize = 8;
 
+/// A number for each.
 pub(super) type Lanes = [f64; WIDE];
 
 const ZERO: Lanes = [0.0; WIDE];
@@ -100,10 +101,6 @@ impl<const N: usize> Default for Batch<N> {
     }
 }
 
-thread_local! {
-    static ARCH: Arch = Arch::new();
-}
-
 /// The kernel.
 struct Solve<'a, const N: usize> {
     batch: &'a Batch<N>,
@@ -189,7 +186,7 @@ impl<const N: usize> Batch<N> {
 
     /// Covered areas, and what is visible of the pieces.
     pub(super) fn solve(&self, solved: &mut Solved) {
-        ARCH.with(|arch| arch.dispatch(Solve { batch: self, solved }));
+        super::ARCH.with(|arch| arch.dispatch(Solve { batch: self, solved }));
     }
 }
 

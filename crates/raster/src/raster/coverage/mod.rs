@@ -33,6 +33,7 @@ mod trace;
 use std::cell::RefCell;
 use std::thread::LocalKey;
 
+use pulp::Arch;
 use rayon::prelude::*;
 
 use self::cell::{Piece, Rectangle};
@@ -55,6 +56,7 @@ struct Worker {
 }
 
 thread_local! {
+    static ARCH: Arch = Arch::new();
     static OUTLINE: RefCell<Outline> = RefCell::default();
     static WORKER: RefCell<Worker> = RefCell::default();
 }

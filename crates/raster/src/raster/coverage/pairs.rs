@@ -12,7 +12,7 @@
 //! left side. Pieces that run along each other closer than a
 //! sliver could still be ordered in a circle; such rectangles are left to the plain solver.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::cell::{LEFT_0, LEFT_1, Piece, RIGHT_0, RIGHT_1, Rectangle, SLIVER, TOP};
 
@@ -23,10 +23,6 @@ pub(super) const MOST: usize = 16;
 const WIDEST: usize = 8;
 
 type Lanes = [f64; MOST];
-
-thread_local! {
-    static ARCH: Arch = Arch::new();
-}
 
 /// The pieces of a rectangle, one a lane, and what is found out about them.
 #[derive(Debug, Clone)]
@@ -128,7 +124,8 @@ impl Pairs {
         mut visible: impl FnMut(&Piece, f64, f64),
     ) -> Option<f64> {
         self.load(pieces);
-        let clear = ARCH.with(|arch| arch.dispatch(Compare { pairs: self, layers: layers.into() }));
+        let clear =
+            super::ARCH.with(|arch| arch.dispatch(Compare { pairs: self, layers: layers.into() }));
         if !clear {
             return None;
         }

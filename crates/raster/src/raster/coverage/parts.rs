@@ -5,15 +5,10 @@ use pulp::Simd;
 
 use super::super::outline::{self, NetEdge};
 use super::cell::{LEFT_0, LEFT_1, LEVEL, Piece, RIGHT_0, RIGHT_1, TOP};
-
-/// Edges of a group: the widest register.
-pub(super) const WIDE: usize = 8;
+use super::lanes::{Lanes, WIDE};
 
 /// Whole numbers are kept on top of this, so that they are in the low bits.
 const WHOLE: f64 = 1.5 * (1_u64 << 52) as f64;
-
-/// A number for each edge.
-pub(super) type Lanes = [f64; WIDE];
 
 /// The parts of up to eight edges inside a row; `x` from the left of the canvas, `y` from the top
 /// of the row, in pixels. Columns are counted on the canvas; one beyond it on either side stands

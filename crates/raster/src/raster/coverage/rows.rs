@@ -1,6 +1,6 @@
 //! Net edges row by row: their parts, the columns those enter, and the pixels to solve.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::super::Pixel;
 use super::super::order::RowOrder;
@@ -52,7 +52,7 @@ pub(super) fn walk<T: Pixel, const AREAS: bool, const TRACED: bool>(
     target: &mut Target<'_, T>,
 ) {
     let walk = Walk::<T, AREAS, TRACED> { rows, edges, extent, target };
-    ARCH.with(|arch| arch.dispatch(walk));
+    super::ARCH.with(|arch| arch.dispatch(walk));
 }
 
 /// As [`walk`], on one instruction set.
@@ -65,10 +65,6 @@ pub(super) fn walk_on<S: Simd, T: Pixel>(
     target: &mut Target<'_, T>,
 ) {
     s.vectorize(Walk::<T, true, true> { rows, edges, extent, target });
-}
-
-thread_local! {
-    static ARCH: Arch = Arch::new();
 }
 
 struct Walk<'a, 'b, T, const AREAS: bool, const TRACED: bool> {
@@ -116,14 +112,14 @@ impl Rows {
             self.continue_to(edges, row - first, top);
             let mut steps = 0_u32;
             let ids = &self.live[..];
-            let count = ids.len().div_ceil(parts::WIDE);
+            let count = ids.len().div_ceil(lanes::WIDE);
             if self.groups.len() < count {
                 self.groups.resize(count, Group::default());
             }
             let groups = &mut self.groups[..count];
             // One after the other: what is written lane by lane is on its way to memory until it
             // is read as a register.
-            for (group, ids) in groups.iter_mut().zip(ids.chunks(parts::WIDE)) {
+            for (group, ids) in groups.iter_mut().zip(ids.chunks(lanes::WIDE)) {
                 group.load(edges, ids);
             }
             for group in groups.iter_mut() {
@@ -228,51 +224,19 @@ impl Batches {
         pieces: &[Piece],
         target: &mut Target<'_, T>,
     ) {
+        let solved = &mut self.solved;
         match pieces.len() {
-            1 => {
-                if self.one.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(&mut self.one, &mut self.solved, edges, target);
-                }
-            }
-            2 => {
-                if self.two.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(&mut self.two, &mut self.solved, edges, target);
-                }
-            }
-            3 => {
-                if self.three.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(&mut self.three, &mut self.solved, edges, target);
-                }
-            }
-            4 => {
-                if self.four.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(&mut self.four, &mut self.solved, edges, target);
-                }
-            }
-            5 => {
-                if self.five.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(&mut self.five, &mut self.solved, edges, target);
-                }
-            }
-            6 => {
-                if self.six.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(&mut self.six, &mut self.solved, edges, target);
-                }
-            }
+            1 => put::<T, _, AREAS, TRACED>(&mut self.one, solved, edges, place, pieces, target),
+            2 => put::<T, _, AREAS, TRACED>(&mut self.two, solved, edges, place, pieces, target),
+            3 => put::<T, _, AREAS, TRACED>(&mut self.three, solved, edges, place, pieces, target),
+            4 => put::<T, _, AREAS, TRACED>(&mut self.four, solved, edges, place, pieces, target),
+            5 => put::<T, _, AREAS, TRACED>(&mut self.five, solved, edges, place, pieces, target),
+            6 => put::<T, _, AREAS, TRACED>(&mut self.six, solved, edges, place, pieces, target),
             7 | 8 => {
-                if self.eight.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(&mut self.eight, &mut self.solved, edges, target);
-                }
+                put::<T, _, AREAS, TRACED>(&mut self.eight, solved, edges, place, pieces, target);
             }
-            9..=16 => {
-                if self.sixteen.push(place, pieces) {
-                    finish::<T, _, AREAS, TRACED>(
-                        &mut self.sixteen,
-                        &mut self.solved,
-                        edges,
-                        target,
-                    );
-                }
+            9..=lanes::MOST => {
+                put::<T, _, AREAS, TRACED>(&mut self.sixteen, solved, edges, place, pieces, target);
             }
             _ => target.solve::<AREAS, TRACED>(edges, place, pieces),
         }
@@ -284,14 +248,30 @@ impl Batches {
         edges: &[NetEdge],
         target: &mut Target<'_, T>,
     ) {
-        finish::<T, _, AREAS, TRACED>(&mut self.one, &mut self.solved, edges, target);
-        finish::<T, _, AREAS, TRACED>(&mut self.two, &mut self.solved, edges, target);
-        finish::<T, _, AREAS, TRACED>(&mut self.three, &mut self.solved, edges, target);
-        finish::<T, _, AREAS, TRACED>(&mut self.four, &mut self.solved, edges, target);
-        finish::<T, _, AREAS, TRACED>(&mut self.five, &mut self.solved, edges, target);
-        finish::<T, _, AREAS, TRACED>(&mut self.six, &mut self.solved, edges, target);
-        finish::<T, _, AREAS, TRACED>(&mut self.eight, &mut self.solved, edges, target);
-        finish::<T, _, AREAS, TRACED>(&mut self.sixteen, &mut self.solved, edges, target);
+        let solved = &mut self.solved;
+        finish::<T, _, AREAS, TRACED>(&mut self.one, solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.two, solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.three, solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.four, solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.five, solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.six, solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.eight, solved, edges, target);
+        finish::<T, _, AREAS, TRACED>(&mut self.sixteen, solved, edges, target);
+    }
+}
+
+/// Add a pixel to its batch, and solve that if it is full.
+#[inline(always)]
+fn put<T: Pixel, const N: usize, const AREAS: bool, const TRACED: bool>(
+    batch: &mut Batch<N>,
+    solved: &mut Solved,
+    edges: &[NetEdge],
+    place: Place,
+    pieces: &[Piece],
+    target: &mut Target<'_, T>,
+) {
+    if batch.push(place, pieces) {
+        finish::<T, N, AREAS, TRACED>(batch, solved, edges, target);
     }
 }
 
