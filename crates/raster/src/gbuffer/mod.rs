@@ -41,10 +41,11 @@ mod setup;
 mod tests;
 mod tiles;
 
+use self::band::Dirty;
 pub use self::fragment::Fragment;
 use self::setup::Keep;
 use crate::error::{Error, Result};
-use crate::raster::{DEFAULT_NEAR, Model, Pixel, Size, View};
+use crate::raster::{Background, DEFAULT_NEAR, Model, Pixel, Plain, Size, View};
 
 /// The largest height and width in pixels.
 pub const LARGEST_SIDE: usize = 16_384;
@@ -115,6 +116,30 @@ pub struct GBuffer<'a, T> {
     pub uv: Option<&'a mut [T]>,
 }
 
+/// How planes are cleared that are written over in part.
+struct Blank<'a> {
+    background: Background,
+    width: usize,
+    /// The part that may be written over.
+    dirty: &'a Dirty,
+}
+
+impl Blank<'_> {
+    fn fill<X: Plain>(&self, plane: &mut [X], channels: usize, value: X) {
+        if self.background == Background::Near || channels == 0 {
+            plane.fill(value); // fastest in one piece
+            return;
+        }
+        let width = channels * self.width;
+        let Dirty { rows, columns } = self.dirty;
+        let columns = channels * columns.start..channels * columns.end;
+        self.background.fill_around(plane, value, width, (rows.clone(), columns.clone()));
+        for row in plane.chunks_exact_mut(width).take(rows.end).skip(rows.start) {
+            row[columns.clone()].fill(value);
+        }
+    }
+}
+
 /// The first `count` entries of a plane, which keeps the rest.
 fn split<'a, X>(plane: &mut Option<&'a mut [X]>, count: usize) -> Option<&'a mut [X]> {
     let (head, tail) = plane.take()?.split_at_mut(count);
@@ -124,25 +149,33 @@ fn split<'a, X>(plane: &mut Option<&'a mut [X]>, count: usize) -> Option<&'a mut
 
 impl<T: Pixel> GBuffer<'_, T> {
     /// Nothing anywhere.
-    fn clear(&mut self) {
+    fn clear(&mut self, blank: &Blank<'_>, channels: usize) {
         if let Some(mask) = &mut self.mask {
-            mask.fill(false);
+            blank.fill(mask, 1, false);
         }
         for ids in [&mut self.object, &mut self.face].into_iter().flatten() {
-            ids.fill(-1);
+            blank.fill(ids, 1, -1);
         }
-        for plane in [
-            &mut self.depth,
-            &mut self.barycentrics,
-            &mut self.normal,
-            &mut self.attributes,
-            &mut self.uv,
-        ]
-        .into_iter()
-        .flatten()
-        {
-            plane.fill(T::default());
+        for (plane, channels) in [
+            (&mut self.depth, 1),
+            (&mut self.barycentrics, 3),
+            (&mut self.normal, 3),
+            (&mut self.attributes, channels),
+            (&mut self.uv, 2),
+        ] {
+            if let Some(plane) = plane {
+                blank.fill(plane, channels, T::default());
+            }
         }
+    }
+
+    /// Memory of all planes.
+    fn bytes(&self) -> usize {
+        let ids = [&self.object, &self.face];
+        let floats = [&self.depth, &self.barycentrics, &self.normal, &self.attributes, &self.uv];
+        self.mask.as_ref().map_or(0, |plane| size_of_val(&**plane))
+            + ids.into_iter().flatten().map(|plane| size_of_val(&**plane)).sum::<usize>()
+            + floats.into_iter().flatten().map(|plane| size_of_val(&**plane)).sum::<usize>()
     }
 
     /// Whether no plane is there.
@@ -278,6 +311,7 @@ impl Scenes<'_> {
         }
         let (channels, pixels) = (self.attribute_channels(), self.size.pixels());
         out.assert_lengths(self.images() * pixels, channels);
+        let background = Background::of(out.bytes());
         let cut = |mut out: GBuffer<'a, T>, pixels: usize| (out.split(pixels, channels), out);
         let image = |image: usize, out: GBuffer<'a, T>| {
             let count = self.surfaces.len();
@@ -288,7 +322,8 @@ impl Scenes<'_> {
                 let rows = (self.size, band::band_rows(self.size, 1));
                 band::draw_bands(prepared, rows, out, cut, |band, fragments, out| {
                     let surfaces = (self.surfaces, views);
-                    resolve::resolve(band, surfaces, (normals, channels), fragments, out);
+                    let wanted = (normals, channels, background);
+                    resolve::resolve(band, surfaces, wanted, fragments, out);
                 })
             })
         };

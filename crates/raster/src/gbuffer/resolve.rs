@@ -1,18 +1,18 @@
 //! From the ids and depths of a band to the planes: they are filled with what stands for nothing,
-//! which is fastest in one piece, and where faces may be, they are written over in the cache.
+//! and where faces are, they are written over in the cache.
 
 use multiversion::multiversion;
 
 use super::band::Band;
 use super::normals::{flat, smooth};
-use super::{Fragment, GBuffer, Normals, Surface};
-use crate::raster::{Pixel, View};
+use super::{Blank, Fragment, GBuffer, Normals, Surface};
+use crate::raster::{Background, Pixel, View};
 
 /// Write the planes of a band, every pixel of them.
 pub(super) fn resolve<T: Pixel>(
     band: &Band<'_>,
     (surfaces, views): (&[Surface<'_>], &[View]),
-    (normals, channels): (Normals, usize),
+    (normals, channels, background): (Normals, usize, Background),
     fragments: &mut Vec<Fragment>,
     mut out: GBuffer<'_, T>,
 ) {
@@ -21,7 +21,7 @@ pub(super) fn resolve<T: Pixel>(
         || out.normal.is_some()
         || out.attributes.is_some()
         || out.uv.is_some();
-    out.clear();
+    out.clear(&Blank { background, width, dirty: band.dirty }, channels);
     let dirty = band.dirty.columns.clone();
     for row in band.dirty.rows.clone() {
         let pixels = row * width..(row + 1) * width;

@@ -306,3 +306,21 @@ fn what_cannot_be_drawn_is_refused_by_name() {
     // No images: nothing to draw, and no error.
     Scenes { views: &[], ..good }.draw::<f32>(Normals::Flat, GBuffer::default()).expect("nothing");
 }
+
+#[test]
+fn planes_past_the_caches_are_cleared_all_over() {
+    let (width, height, channels) = (2000, 30, 3);
+    for dirty in [
+        Dirty { rows: 7..12, columns: 30..400 },
+        Dirty { rows: 0..30, columns: 0..2000 },
+        Dirty { rows: 0..0, columns: 0..0 },
+    ] {
+        let blank = Blank { background: Background::Far, width, dirty: &dirty };
+        let mut plane = vec![f32::NAN; width * height * channels];
+        blank.fill(&mut plane, channels, 0.0);
+        assert!(plane.iter().all(|&value| value == 0.0), "{dirty:?}");
+        let mut ids = vec![3; width * height];
+        blank.fill(&mut ids, 1, -1);
+        assert!(ids.iter().all(|&id| id == -1), "{dirty:?}");
+    }
+}

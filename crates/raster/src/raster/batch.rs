@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::trace::Trace;
-use super::{DEFAULT_NEAR, Mode, Model, Pixel, Screen, Size, View, ViewGradient};
+use super::{Background, DEFAULT_NEAR, Mode, Model, Pixel, Screen, Size, View, ViewGradient};
 use crate::error::{Error, Result};
 
 /// What to draw: poses of one model, or one pose for each of as many models.
@@ -152,6 +152,8 @@ impl Batch<'_> {
         lend(|scratch| {
             let (model, near) = (self.model(image), self.near.unwrap_or(DEFAULT_NEAR));
             scratch.screen.project(model, &self.views[image], near)?;
+            let bytes = self.views.len() * size_of_val(out);
+            let out = (out, Background::of(bytes));
             Ok(self.mode.draw(model, &scratch.screen, self.size, out, traced))
         })
     }

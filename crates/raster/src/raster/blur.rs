@@ -81,7 +81,7 @@ impl Kernel {
     }
 
     /// The image `out` from the part `rows` x `columns` (half open) of its canvas; the rest of the
-    /// canvas is 0.
+    /// canvas is 0, and so is the image before.
     pub(super) fn forward<T: Pixel>(
         &self,
         Buffers { canvas, taps, line }: &mut Buffers<T>,
@@ -96,7 +96,6 @@ impl Kernel {
         let width = columns.1 - columns.0;
         line.clear();
         line.resize(width + 2 * r, T::default());
-        out.fill(T::default());
         // Image row i takes canvas rows i to i + 2 r; likewise columns.
         let last = rows.1.min(size.height);
         for i in rows.0.saturating_sub(2 * r)..last {
@@ -226,7 +225,7 @@ mod tests {
                             part[(i - rows.0) * (columns.1 - columns.0) + j - columns.0];
                     }
                 }
-                let mut out = vec![1.0; size.pixels()];
+                let mut out = vec![0.0; size.pixels()];
                 buffers.canvas.clone_from(&part);
                 kernel.forward(&mut buffers, rows, columns, size, &mut out);
                 for (a, b) in out.iter().zip(slow(&kernel, &canvas, size)) {

@@ -8,7 +8,7 @@
 //! it is that of Kaolin 0.1: see `soft::kaolin`. Masks with cut-offs are computed in `f64`.
 
 use super::soft::{Profile, kaolin};
-use super::{KaolinCutoff, Model, Pixel, Screen, Size};
+use super::{Background, KaolinCutoff, Model, Pixel, Screen, Size};
 
 /// Draw the mask `(H, W)`; every pixel of `out` is written.
 pub fn draw<T: Pixel>(
@@ -19,9 +19,11 @@ pub fn draw<T: Pixel>(
     cutoff: Option<KaolinCutoff>,
     out: &mut [T],
 ) {
-    match cutoff {
-        Some(cutoff) => kaolin::draw(model, screen, size, delta, cutoff, out),
-        None => drop(Profile::Dibr(delta).draw(model, screen, size, out, false)),
+    if let Some(cutoff) = cutoff {
+        kaolin::draw(model, screen, size, delta, cutoff, out);
+    } else {
+        let out = (out, Background::Near);
+        drop(Profile::Dibr(delta).draw(model, screen, size, out, false));
     }
 }
 

@@ -9,7 +9,7 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use super::outline::{Extent, Net, NetEdge, Outline};
-use super::{Model, Pixel, Screen, Size};
+use super::{Background, Model, Pixel, Screen, Size};
 
 /// Buffers of one thread.
 #[derive(Debug, Default)]
@@ -72,9 +72,19 @@ fn first_from(x: f64, n: usize) -> usize {
 
 /// Draw the mask; every pixel of `out` is written.
 pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, out: &mut [T]) {
+    draw_over(model, screen, size, (out, Background::Near));
+}
+
+/// As [`draw`].
+pub(super) fn draw_over<T: Pixel>(
+    model: &Model,
+    screen: &Screen,
+    size: Size,
+    (out, background): (&mut [T], Background),
+) {
     SCRATCH.with_borrow_mut(|scratch| {
         let (width, one) = (size.width, T::from_f64(1.0));
-        out.fill(T::default());
+        background.fill(out, T::default());
         scratch.sweep(model, screen, size, |row, columns| {
             out[row * width..(row + 1) * width][columns].fill(one);
         });

@@ -22,6 +22,7 @@
 #![expect(clippy::float_cmp, reason = "an end of an edge is the same point or another one")]
 #![expect(clippy::cast_possible_wrap, reason = "columns of an image, far below 2^31")]
 
+mod background;
 mod batch;
 mod blur;
 pub mod coverage;
@@ -38,6 +39,7 @@ mod spare;
 mod topology;
 mod trace;
 
+pub(crate) use self::background::{Background, Plain};
 pub use self::batch::{Batch, Gradients, Traces, Wanted};
 pub use self::model::Model;
 pub use self::screen::{Cut, Screen, View, ViewGradient};
@@ -103,6 +105,7 @@ pub trait Pixel:
     + std::fmt::Debug
     + std::ops::Add<Output = Self>
     + std::ops::Mul<Output = Self>
+    + Plain
     + 'static
 {
     /// Rounded to the type.
@@ -194,14 +197,15 @@ impl Mode {
         }
     }
 
-    /// The mask of a screen into `out`, `(H, W)`; every pixel is written. With `traced`, the outline
+    /// The mask of a screen into `out`, `(H, W)`, and how its background is to be written; every
+    /// pixel is written. With `traced`, the outline
     /// if the mode has one to keep.
     fn draw<T: Pixel>(
         &self,
         model: &Model,
         screen: &Screen,
         size: Size,
-        out: &mut [T],
+        out: (&mut [T], Background),
         traced: bool,
     ) -> Option<Trace> {
         match *self {
@@ -215,10 +219,10 @@ impl Mode {
             Self::Sigmoid { sigma, cutoff: None } => {
                 return soft::Profile::Sigmoid(sigma).draw(model, screen, size, out, traced);
             }
-            Self::Hard => hard::draw(model, screen, size, out),
-            Self::Dibr { delta, cutoff } => dibr::draw(model, screen, size, delta, cutoff, out),
+            Self::Hard => hard::draw_over(model, screen, size, out),
+            Self::Dibr { delta, cutoff } => dibr::draw(model, screen, size, delta, cutoff, out.0),
             Self::Sigmoid { sigma, cutoff } => {
-                sigmoid::draw(model, screen, size, sigma, cutoff, out);
+                sigmoid::draw(model, screen, size, sigma, cutoff, out.0);
             }
         }
         None

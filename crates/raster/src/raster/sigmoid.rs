@@ -9,7 +9,7 @@
 //! are computed in `f64`.
 
 use super::soft::{Profile, pytorch3d};
-use super::{Model, Pixel, Pytorch3dCutoff, Screen, Size};
+use super::{Background, Model, Pixel, Pytorch3dCutoff, Screen, Size};
 
 /// Draw the mask `(H, W)`; every pixel of `out` is written.
 pub fn draw<T: Pixel>(
@@ -20,9 +20,11 @@ pub fn draw<T: Pixel>(
     cutoff: Option<Pytorch3dCutoff>,
     out: &mut [T],
 ) {
-    match cutoff {
-        Some(cutoff) => pytorch3d::draw(model, screen, size, sigma, cutoff, out),
-        None => drop(Profile::Sigmoid(sigma).draw(model, screen, size, out, false)),
+    if let Some(cutoff) = cutoff {
+        pytorch3d::draw(model, screen, size, sigma, cutoff, out);
+    } else {
+        let out = (out, Background::Near);
+        drop(Profile::Sigmoid(sigma).draw(model, screen, size, out, false));
     }
 }
 

@@ -39,12 +39,12 @@ use rayon::prelude::*;
 use self::cell::{Piece, Rectangle};
 use self::rows::{Rows, walk};
 use self::solver::Solver;
-use self::target::Target;
+use self::target::{Layout, Target};
 pub use self::trace::Trace;
 use self::trace::{Kind, Segment};
 use super::blur::{self, Buffers};
 use super::outline::{Extent, Outline};
-use super::{Model, Pixel, Screen, Size};
+use super::{Background, Model, Pixel, Screen, Size};
 
 /// Buffers for a band of rows.
 #[derive(Debug, Default)]
@@ -94,7 +94,7 @@ fn band(extent: Extent, rows: usize, k: usize) -> Extent {
 
 /// Draw the mask; every pixel of `out` is written. `sigma` in pixels.
 pub fn draw<T: Pixel>(model: &Model, screen: &Screen, size: Size, sigma: f64, out: &mut [T]) {
-    draw_traced(model, screen, size, sigma, out, false);
+    draw_traced(model, screen, size, sigma, (out, Background::Near), false);
 }
 
 /// As [`draw`]. With `traced`, the outline is returned too, so that [`back_of`] need not find it
@@ -104,7 +104,7 @@ pub(super) fn draw_traced<T: Pixel>(
     screen: &Screen,
     size: Size,
     sigma: f64,
-    out: &mut [T],
+    (out, background): (&mut [T], Background),
     traced: bool,
 ) -> Option<Trace> {
     blur::with_kernel(sigma, |kernel| {
@@ -117,24 +117,26 @@ pub(super) fn draw_traced<T: Pixel>(
             match extent {
                 Some(extent) if kernel.radius() == 0 => {
                     if rows_of_band(extent) < extent.height() {
-                        clear(&mut out[..extent.rows.0 * size.width]);
-                        clear(&mut out[extent.rows.1 * size.width..]);
+                        clear(&mut out[..extent.rows.0 * size.width], background);
+                        clear(&mut out[extent.rows.1 * size.width..], background);
                     }
                 }
-                _ => clear(out),
+                _ => clear(out, background),
             }
             let extent = extent?;
             let kind = Kind { vertices: model.vertex_count(), size, sigma };
             let mut trace = (traced && !screen.is_clipped()).then(|| Trace::new(kind, extent));
             if kernel.radius() == 0 {
-                return areas(outline, extent, out, width, (0, 0), trace);
+                let layout = Layout { stride: width, origin: (0, 0), background };
+                return areas(outline, extent, out, layout, trace);
             }
             blur::with_buffers(|buffers: &mut Buffers<T>| {
                 let (n, m) = (extent.height(), extent.columns.1 - extent.columns.0);
                 let canvas = &mut buffers.canvas;
                 canvas.resize(n * m, T::default());
                 let origin = (extent.rows.0, extent.columns.0);
-                trace = areas(outline, extent, canvas, m, origin, trace.take());
+                let layout = Layout { stride: m, origin, background: Background::Near };
+                trace = areas(outline, extent, canvas, layout, trace.take());
                 kernel.forward(buffers, extent.rows, extent.columns, size, out);
             });
             trace
@@ -143,36 +145,38 @@ pub(super) fn draw_traced<T: Pixel>(
 }
 
 /// Set pixels to 0.
-fn clear<T: Pixel>(out: &mut [T]) {
+fn clear<T: Pixel>(out: &mut [T], background: Background) {
     if out.len() > LARGE {
-        out.par_chunks_mut(LARGE).for_each(|part| part.fill(T::default()));
+        out.par_chunks_mut(LARGE).for_each(|part| background.fill(part, T::default()));
     } else {
-        out.fill(T::default());
+        background.fill(out, T::default());
     }
 }
 
-/// The areas of an extent, into an image with `stride` pixels a row from row and column `origin`
-/// on; every pixel of the rows of the extent is written, and, of images that are worked on as a
+/// The areas of an extent; every pixel of the rows of the extent is written, and, of images that are worked on as a
 /// whole, every other too.
 fn areas<T: Pixel>(
     outline: &Outline,
     extent: Extent,
     out: &mut [T],
-    stride: usize,
-    origin: (usize, usize),
+    layout: Layout,
     trace: Option<Trace>,
 ) -> Option<Trace> {
     let rows = rows_of_band(extent);
+    let Layout { stride, origin, .. } = layout;
     let edges = &outline.edges[..];
     let paint = |band: Extent, origin, out: &mut [T], trace: Option<&mut Trace>| {
         lend(&WORKER, |worker| {
             let Worker { rows, solver, turned, segments } = worker;
-            let written = 0;
-            if let Some(Trace { segments, .. }) = trace {
-                let mut target = Target { out, stride, origin, written, segments, solver, turned };
+            let (traced, segments) = match trace {
+                Some(trace) => (true, &mut trace.segments),
+                None => (false, segments),
+            };
+            let layout = Layout { origin, ..layout };
+            let mut target = Target::new(out, layout, segments, (solver, turned));
+            if traced {
                 walk::<T, true, true>(rows, edges, band, &mut target);
             } else {
-                let mut target = Target { out, stride, origin, written, segments, solver, turned };
                 walk::<T, true, false>(rows, edges, band, &mut target);
             }
         });
@@ -270,8 +274,8 @@ fn forces<T: Pixel>(
             let Worker { rows, solver, turned, segments } = worker;
             segments.clear();
             let origin = (band.rows.0, first);
-            let mut target =
-                Target::<T> { out: &mut [], stride, origin, written: 0, segments, solver, turned };
+            let layout = Layout { stride, origin, background: Background::Near };
+            let mut target = Target::<T>::new(&mut [], layout, segments, (solver, turned));
             walk::<T, false, true>(rows, edges, band, &mut target);
             trace::apply(segments, weights, du, dv);
         });

@@ -1,7 +1,7 @@
 //! Where areas and outlines go.
 
-use super::super::Pixel;
 use super::super::outline::{Extent, NetEdge};
+use super::super::{Background, Pixel};
 use super::UNIT;
 use super::cell::{Piece, transposed};
 use super::lanes::{Batch, PARTS, Place, Solved};
@@ -11,38 +11,57 @@ use super::trace::Segment;
 /// Where the results of an image or of a band of it go.
 pub(super) struct Target<'a, T> {
     /// The rows, or nothing where areas are not asked for.
-    pub(super) out: &'a mut [T],
+    out: &'a mut [T],
+    layout: Layout,
+    /// So many pixels are written, but for those to solve.
+    written: usize,
+    segments: &'a mut Vec<Segment>,
+    solver: &'a mut Solver,
+    turned: &'a mut Vec<Piece>,
+}
+
+/// How the pixels of an output follow each other.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Layout {
     pub(super) stride: usize,
     /// Row and column of the first pixel.
     pub(super) origin: (usize, usize),
-    /// So many pixels are written, but for those to solve.
-    pub(super) written: usize,
-    pub(super) segments: &'a mut Vec<Segment>,
-    pub(super) solver: &'a mut Solver,
-    pub(super) turned: &'a mut Vec<Piece>,
+    /// How empty ones are written.
+    pub(super) background: Background,
 }
 
-impl<T: Pixel> Target<'_, T> {
+impl<'a, T: Pixel> Target<'a, T> {
+    pub(super) fn new(
+        out: &'a mut [T],
+        layout: Layout,
+        segments: &'a mut Vec<Segment>,
+        (solver, turned): (&'a mut Solver, &'a mut Vec<Piece>),
+    ) -> Self {
+        Self { out, layout, written: 0, segments, solver, turned }
+    }
+
     /// The number of a pixel.
     #[inline(always)]
     pub(super) fn pixel(&self, row: usize, column: usize) -> u32 {
-        ((row - self.origin.0) * self.stride + column - self.origin.1) as u32
+        let Layout { stride, origin, .. } = self.layout;
+        ((row - origin.0) * stride + column - origin.1) as u32
     }
 
     /// The columns of an extent in a row, to be written; what is before them is empty, as far as
     /// it is not written yet.
     #[inline(always)]
     pub(super) fn line(&mut self, row: usize, extent: Extent) -> &mut [T] {
-        let at = (row - self.origin.0) * self.stride;
-        let [from, to] = [extent.columns.0, extent.columns.1].map(|c| at + c - self.origin.1);
-        self.out[self.written..from].fill(T::default());
+        let Layout { stride, origin, background } = self.layout;
+        let at = (row - origin.0) * stride;
+        let [from, to] = [extent.columns.0, extent.columns.1].map(|c| at + c - origin.1);
+        background.fill(&mut self.out[self.written..from], T::default());
         self.written = to;
         &mut self.out[from..to]
     }
 
     /// What is behind the last row is empty.
     pub(super) fn complete(&mut self) {
-        self.out[self.written..].fill(T::default());
+        self.layout.background.fill(&mut self.out[self.written..], T::default());
         self.written = self.out.len();
     }
 

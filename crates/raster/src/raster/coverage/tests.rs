@@ -312,9 +312,8 @@ fn every_instruction_set_gives_the_same_bits() {
         let mut worker = Worker::default();
         let Worker { rows, solver, turned, segments } = &mut worker;
         let mut out = vec![f64::NAN; size.pixels()];
-        let (stride, origin, written) = (size.width, (0, 0), 0);
-        let mut target =
-            Target { out: &mut out, stride, origin, written, segments, solver, turned };
+        let layout = Layout { stride: size.width, origin: (0, 0), background: Background::Near };
+        let mut target = Target::new(&mut out, layout, segments, (solver, turned));
         rows::walk_on(s, rows, &outline.edges, extent, &mut target);
         out
     }

@@ -44,7 +44,7 @@ use self::real::Real;
 use self::tiles::{Tiles, Units};
 use super::spare::Spare;
 use super::trace::Trace;
-use super::{Mode, Model, Pixel, Screen, Size};
+use super::{Background, Mode, Model, Pixel, Screen, Size};
 
 /// The product that a mask is made of, for its gradient.
 #[derive(Debug, Clone)]
@@ -139,7 +139,7 @@ impl Profile {
         model: &Model,
         screen: &Screen,
         size: Size,
-        out: &mut [T],
+        out: (&mut [T], Background),
         traced: bool,
     ) -> Option<Trace> {
         let traced = traced && size.pixels() <= LARGE;
@@ -199,15 +199,15 @@ impl Profile {
         model: &Model,
         screen: &Screen,
         size: Size,
-        out: &mut [T],
+        (out, background): (&mut [T], Background),
     ) {
         let Scratch { tiles } = scratch;
         if let Some(source) = self.lay(tiles, model, screen, size) {
             self.product(&source, tiles, model, screen, size);
-            tiles.compose(size, out);
+            tiles.compose(size, out, background);
         } else {
             tiles.values.clear();
-            out.fill(T::default());
+            background.fill(out, T::default());
         }
     }
 

@@ -1,7 +1,7 @@
 //! The image as tiles of 4x4 pixels, as far as a shape reaches.
 
 use super::real::{LANES, Real};
-use crate::raster::{Model, Pixel, Screen, Size, hard};
+use crate::raster::{Background, Model, Pixel, Screen, Size, hard};
 
 /// Side of a tile in pixels.
 pub(super) const SIDE: usize = 4;
@@ -194,14 +194,12 @@ impl<R: Real> Tiles<R> {
     }
 
     /// The tiles as a mask: `1 - value`, and 0 where there are no tiles.
-    pub(super) fn compose<T: Pixel>(&self, size: Size, out: &mut [T]) {
+    pub(super) fn compose<T: Pixel>(&self, size: Size, out: &mut [T], background: Background) {
         let [columns, rows] = self.pixels(size);
-        out[..rows.start * size.width].fill(T::default());
-        out[rows.end * size.width..].fill(T::default());
+        let seen = (rows.clone(), columns.clone());
+        background.fill_around(out, T::default(), size.width, seen);
         for row in rows {
             let line = &mut out[row * size.width..(row + 1) * size.width];
-            line[..columns.start].fill(T::default());
-            line[columns.end..].fill(T::default());
             let (tile, lane) = (row / SIDE - self.first[1], SIDE * (row % SIDE));
             let tiles = &self.values[tile * self.count[0]..(tile + 1) * self.count[0]];
             let mut pixels = line[columns.clone()].chunks_exact_mut(SIDE);
