@@ -2,7 +2,7 @@
 
 use super::nearest::Near;
 use super::real::{LANES, Real};
-use super::tiles::{LAST, SIDE, Units};
+use super::tiles::{LAST, Rectangle, SIDE, Units};
 
 /// Twice the area over the squares of two sides, up to which a face has no area: rounding leaves
 /// collinear corners about 1e-16.
@@ -52,9 +52,7 @@ pub(super) struct Source<'a> {
     pub(super) u: &'a [f64],
     pub(super) v: &'a [f64],
     pub(super) units: Units,
-    /// The rectangle of tiles: first, count.
-    pub(super) first: [usize; 2],
-    pub(super) count: [usize; 2],
+    pub(super) rectangle: Rectangle,
 }
 
 impl<R: Real> Block<R> {
@@ -154,9 +152,9 @@ impl<R: Real> Block<R> {
         // In tiles: the pixel centres of tile `t` are at `t`, .., `t + 3/4`.
         let (mut low, mut high) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
         for axis in 0..2 {
-            let count = source.count[axis] as f64;
+            let count = source.rectangle.count[axis] as f64;
             let per_tile = 1.0 / (SIDE as f64 * scale[axis]);
-            let shift = (half[axis] - 0.5) / SIDE as f64 - source.first[axis] as f64;
+            let shift = (half[axis] - 0.5) / SIDE as f64 - source.rectangle.first[axis] as f64;
             let margin = reach * per_tile + 1e-3;
             for l in 0..LANES {
                 let (a, b, c) = (corners[axis][l], corners[axis + 2][l], corners[axis + 4][l]);

@@ -67,7 +67,8 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                         let at = left.trailing_zeros() as usize;
                         let (c, r) = (at % 8, (at / 8) % 8);
                         let place = [&x[c], &y[r]];
-                        let values = &mut tiles.values[(row + r) * tiles.count[0] + column + c];
+                        let values =
+                            &mut tiles.values[(row + r) * tiles.rectangle.count[0] + column + c];
                         draw_one::<R, FMA, SIGMOID>(&block, lane, edge_of(one, at), place, values);
                         left &= left - 1;
                     }
@@ -75,7 +76,8 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                         let at = used.trailing_zeros() as usize;
                         let (c, r) = (at % 8, (at / 8) % 8);
                         let place = [&x[c], &y[r]];
-                        let values = &mut tiles.values[(row + r) * tiles.count[0] + column + c];
+                        let values =
+                            &mut tiles.values[(row + r) * tiles.rectangle.count[0] + column + c];
                         draw_tile::<R, FMA, SIGMOID>(&block, lane, place, values);
                         used &= used - 1;
                     }
@@ -200,7 +202,8 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                         let at = left.trailing_zeros() as usize;
                         let (c, r) = (at % 8, (at / 8) % 8);
                         let place = [&x[c], &y[r]];
-                        let values = &tiles.values[(row + r) * tiles.count[0] + column + c];
+                        let values =
+                            &tiles.values[(row + r) * tiles.rectangle.count[0] + column + c];
                         let k = edge_of(one, at);
                         back_one::<R, FMA, SIGMOID>(
                             &block,
@@ -222,7 +225,8 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                         let at = used.trailing_zeros() as usize;
                         let (c, r) = (at % 8, (at / 8) % 8);
                         let place = [&x[c], &y[r]];
-                        let values = &tiles.values[(row + r) * tiles.count[0] + column + c];
+                        let values =
+                            &tiles.values[(row + r) * tiles.rectangle.count[0] + column + c];
                         back_tile::<R, FMA, SIGMOID>(&block, lane, place, values, &mut local);
                         used &= used - 1;
                     }

@@ -29,6 +29,7 @@
     reason = "lanes: a function that is not inlined loses the instruction set of its caller"
 )]
 
+mod bands;
 mod faces;
 pub(super) mod kaolin;
 mod kernel;
@@ -39,10 +40,9 @@ mod real;
 mod tests;
 mod tiles;
 
-use self::faces::Source;
+use self::bands::Product;
 use self::real::Real;
-use self::tiles::{Tiles, Units};
-use super::spare::Spare;
+use self::tiles::Units;
 use super::trace::Trace;
 use super::{Background, Mode, Model, Pixel, Screen, Size};
 
@@ -55,18 +55,15 @@ pub(super) struct Kept {
 
 #[derive(Debug, Clone)]
 enum Values {
-    Single(Vec<[f32; real::LANES]>),
-    Double(Vec<[f64; real::LANES]>),
+    Single(Product<f32>),
+    Double(Product<f64>),
 }
-
-static SPARE_SINGLE: Spare<[f32; real::LANES]> = Spare::new();
-static SPARE_DOUBLE: Spare<[f64; real::LANES]> = Spare::new();
 
 impl Drop for Kept {
     fn drop(&mut self) {
         match &mut self.values {
-            Values::Single(values) => SPARE_SINGLE.give(std::mem::take(values)),
-            Values::Double(values) => SPARE_DOUBLE.give(std::mem::take(values)),
+            Values::Single(values) => f32::spare().give(std::mem::take(values)),
+            Values::Double(values) => f64::spare().give(std::mem::take(values)),
         }
     }
 }
@@ -91,18 +88,6 @@ impl Kept {
 
 /// Images of more pixels keep no product.
 const LARGE: usize = 1 << 20;
-
-/// Buffers of one thread, for one of the floats.
-#[derive(Debug)]
-struct Scratch<R> {
-    tiles: Tiles<R>,
-}
-
-impl<R: Real> Default for Scratch<R> {
-    fn default() -> Self {
-        Self { tiles: Tiles::default() }
-    }
-}
 
 /// The exact soft masks.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -144,23 +129,9 @@ impl Profile {
     ) -> Option<Trace> {
         let traced = traced && size.pixels() <= LARGE;
         let values = if self.is_single::<T>(size) {
-            f32::with_scratch(|scratch| {
-                self.draw_as(scratch, model, screen, size, out);
-                traced.then(|| {
-                    let mut values = SPARE_SINGLE.take();
-                    values.extend_from_slice(&scratch.tiles.values);
-                    Values::Single(values)
-                })
-            })
+            bands::draw(self, (model, screen), size, out, traced).map(Values::Single)
         } else {
-            f64::with_scratch(|scratch| {
-                self.draw_as(scratch, model, screen, size, out);
-                traced.then(|| {
-                    let mut values = SPARE_DOUBLE.take();
-                    values.extend_from_slice(&scratch.tiles.values);
-                    Values::Double(values)
-                })
-            })
+            bands::draw(self, (model, screen), size, out, traced).map(Values::Double)
         };
         let vertices = model.vertex_count();
         values.map(|values| Trace::Product(Kept { of: (self, vertices, size), values }))
@@ -175,7 +146,7 @@ impl Profile {
         screen: &Screen,
         size: Size,
         upstream: &[T],
-        [du, dv]: [&mut [f64]; 2],
+        out: [&mut [f64]; 2],
     ) {
         let values = kept.map(|kept| &kept.values);
         if self.is_single::<T>(size) {
@@ -183,112 +154,13 @@ impl Profile {
                 Some(Values::Single(values)) => Some(&values[..]),
                 _ => None,
             };
-            f32::with_scratch(|s| self.back_as(s, values, model, screen, size, upstream, [du, dv]));
+            bands::back::<f32, T>(self, values, (model, screen), size, upstream, out);
         } else {
             let values = match values {
                 Some(Values::Double(values)) => Some(&values[..]),
                 _ => None,
             };
-            f64::with_scratch(|s| self.back_as(s, values, model, screen, size, upstream, [du, dv]));
-        }
-    }
-
-    fn draw_as<R: Real, T: Pixel>(
-        self,
-        scratch: &mut Scratch<R>,
-        model: &Model,
-        screen: &Screen,
-        size: Size,
-        (out, background): (&mut [T], Background),
-    ) {
-        let Scratch { tiles } = scratch;
-        if let Some(source) = self.lay(tiles, model, screen, size) {
-            self.product(&source, tiles, model, screen, size);
-            tiles.compose(size, out, background);
-        } else {
-            tiles.values.clear();
-            background.fill(out, T::default());
-        }
-    }
-
-    #[expect(clippy::too_many_arguments, reason = "two outputs")]
-    fn back_as<R: Real, T: Pixel>(
-        self,
-        scratch: &mut Scratch<R>,
-        values: Option<&[[R; real::LANES]]>,
-        model: &Model,
-        screen: &Screen,
-        size: Size,
-        upstream: &[T],
-        [du, dv]: [&mut [f64]; 2],
-    ) {
-        let Scratch { tiles } = scratch;
-        let Some(source) = self.lay(tiles, model, screen, size) else { return };
-        let mut scale = 0.0_f64;
-        let [columns, rows] = tiles.pixels(size);
-        for row in rows {
-            let line = &upstream[row * size.width..(row + 1) * size.width];
-            for pixel in &line[columns.clone()] {
-                let value = pixel.to_f64().abs();
-                scale = if value > scale { value } else { scale };
-            }
-        }
-        if scale == 0.0 {
-            return;
-        }
-        match values {
-            Some(values) if values.len() == tiles.count[0] * tiles.count[1] => {
-                tiles.values.clear();
-                tiles.values.extend_from_slice(values);
-            }
-            _ => self.product(&source, tiles, model, screen, size),
-        }
-        tiles.weigh(size, upstream, scale);
-        tiles.mark(R::ZERO);
-        match self {
-            Self::Dibr(_) => kernel::back::<R, false>(&source, tiles, scale, du, dv),
-            Self::Sigmoid(_) => kernel::back::<R, true>(&source, tiles, scale, du, dv),
-        }
-    }
-
-    /// Lay the tiles; `None` where no face reaches the image.
-    fn lay<'a, R: Real>(
-        self,
-        tiles: &mut Tiles<R>,
-        model: &'a Model,
-        screen: &'a Screen,
-        size: Size,
-    ) -> Option<Source<'a>> {
-        let units = Units::new(size, self.scale(size), R::REACH);
-        let (low, high) = bounds(model, screen)?;
-        if !tiles.lay(size, &units, low, high) {
-            return None;
-        }
-        let (first, count) = (tiles.first, tiles.count);
-        let faces = screen.faces(model);
-        Some(Source { faces, u: &screen.u, v: &screen.v, units, first, count })
-    }
-
-    /// Leave `prod_f (1 - p_f)` in the tiles.
-    fn product<R: Real>(
-        self,
-        source: &Source<'_>,
-        tiles: &mut Tiles<R>,
-        model: &Model,
-        screen: &Screen,
-        size: Size,
-    ) {
-        tiles.fill(size, R::ONE);
-        match self {
-            Self::Dibr(_) => {
-                tiles.cover(model, screen, size);
-                tiles.mark(R::ZERO);
-                kernel::draw::<R, false>(source, tiles);
-            }
-            Self::Sigmoid(_) => {
-                tiles.mark(R::ZERO);
-                kernel::draw::<R, true>(source, tiles);
-            }
+            bands::back::<f64, T>(self, values, (model, screen), size, upstream, out);
         }
     }
 }

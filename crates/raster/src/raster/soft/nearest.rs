@@ -170,7 +170,8 @@ impl<R: Real> Strip<R> {
         let out = 0.5 * LAST * SIDE as f64;
         let radius = [R::of(out * scale[0]), R::of(out * scale[1])];
         let (level, margin) = (R::of(LEVEL), R::of(MARGIN));
-        let middle = |axis: usize| (source.first[axis] * SIDE + SIDE / 2) as f64 - half[axis];
+        let middle =
+            |axis: usize| (source.rectangle.first[axis] * SIDE + SIDE / 2) as f64 - half[axis];
         let middle = [middle(0), middle(1)];
         for l in 0..LANES {
             let x = middle[0] + SIDE as f64 * f64::from(block.tiles[0][l]);

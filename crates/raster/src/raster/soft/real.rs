@@ -4,8 +4,9 @@ use std::cell::RefCell;
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use super::Scratch;
+use super::bands::Scratch;
 use super::kernel::{self, Sums};
+use crate::raster::spare::Spare;
 
 /// Pixels of a tile: 4 rows of 4.
 pub(super) const LANES: usize = 16;
@@ -21,6 +22,8 @@ pub(super) trait Real:
     + Mul<Output = Self>
     + Div<Output = Self>
     + Neg<Output = Self>
+    + Send
+    + Sync
     + 'static
 {
     /// A face is left out of the mask where its exponent is larger: `exp` of its negative is below
@@ -54,6 +57,8 @@ pub(super) trait Real:
     /// Sums over the lanes, in a fixed order.
     fn totals(sums: &Sums<Self>) -> [Self; 12];
     fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O;
+    /// Memory of products that nobody needs any more.
+    fn spare() -> &'static Spare<[Self; LANES]>;
 
     #[inline(always)]
     fn least(self, other: Self) -> Self {
@@ -74,8 +79,11 @@ thread_local! {
     static DOUBLE: RefCell<Scratch<f64>> = RefCell::default();
 }
 
+static SPARE_SINGLE: Spare<[f32; LANES]> = Spare::new();
+static SPARE_DOUBLE: Spare<[f64; LANES]> = Spare::new();
+
 macro_rules! plain {
-    ($scratch:ident, $type:ty) => {
+    ($scratch:ident, $spare:ident, $type:ty) => {
         const ZERO: Self = 0.0;
         const ONE: Self = 1.0;
 
@@ -102,6 +110,9 @@ macro_rules! plain {
         fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O {
             $scratch.with_borrow_mut(work)
         }
+        fn spare() -> &'static Spare<[Self; LANES]> {
+            &$spare
+        }
     };
 }
 
@@ -111,7 +122,7 @@ impl Real for f32 {
     const LEAST_PRODUCT: Self = 1e-30;
     const FULL: Self = 1e-7;
     const SAME: Self = 1e-15;
-    plain!(SINGLE, f32);
+    plain!(SINGLE, SPARE_SINGLE, f32);
 
     fn totals(sums: &Sums<Self>) -> [Self; 12] {
         kernel::totals_single(sums)
@@ -149,7 +160,7 @@ impl Real for f64 {
     const LEAST_PRODUCT: Self = 1e-200;
     const FULL: Self = 1e-22;
     const SAME: Self = 1e-120;
-    plain!(DOUBLE, f64);
+    plain!(DOUBLE, SPARE_DOUBLE, f64);
 
     fn totals(sums: &Sums<Self>) -> [Self; 12] {
         kernel::totals(sums)

@@ -1,7 +1,9 @@
 //! The image as tiles of 4x4 pixels, as far as a shape reaches.
 
+use std::ops::Range;
+
 use super::real::{LANES, Real};
-use crate::raster::{Background, Model, Pixel, Screen, Size, hard};
+use crate::raster::{Background, Pixel, Size};
 
 /// Side of a tile in pixels.
 pub(super) const SIDE: usize = 4;
@@ -29,19 +31,73 @@ impl Units {
         Self { scale: scale.map(|s| s * root), half, reach: exponent.sqrt() * root }
     }
 
+    /// How far a face reaches, in pixels, and one pixel more.
+    pub(super) fn reach_in_pixels(&self, axis: usize) -> f64 {
+        self.reach / self.scale[axis] + 1.0
+    }
+
     /// The largest coordinate of a point of the image, in widths.
     pub(super) fn extent(&self) -> f64 {
         (self.half[0] * self.scale[0]).max(self.half[1] * self.scale[1])
     }
 }
 
+/// A rectangle of tiles.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Rectangle {
+    /// First tile in the image, `(column, row)`.
+    pub(super) first: [usize; 2],
+    /// Number of tiles, `(columns, rows)`.
+    pub(super) count: [usize; 2],
+}
+
+impl Rectangle {
+    /// What `low..high` (pixels) covers of the image within reach; `None` where that is nothing.
+    pub(super) fn around(size: Size, units: &Units, low: [f64; 2], high: [f64; 2]) -> Option<Self> {
+        let sides = [size.width, size.height];
+        let (mut first, mut count) = ([0; 2], [0; 2]);
+        for axis in 0..2 {
+            let reach = units.reach_in_pixels(axis);
+            first[axis] = (low[axis] - reach).clamp(0.0, sides[axis] as f64) as usize / SIDE;
+            let end = (high[axis] + reach).clamp(0.0, sides[axis] as f64).ceil() as usize;
+            count[axis] = end.div_ceil(SIDE).saturating_sub(first[axis]);
+        }
+        count.iter().all(|&count| count > 0).then_some(Self { first, count })
+    }
+
+    pub(super) fn tiles(&self) -> usize {
+        self.count[0] * self.count[1]
+    }
+
+    /// In pixels, cut at the image: columns, rows.
+    pub(super) fn pixels(&self, size: Size) -> [Range<usize>; 2] {
+        let range = |axis: usize, side: usize| {
+            let first = SIDE * self.first[axis];
+            first..(first + SIDE * self.count[axis]).min(side)
+        };
+        [range(0, size.width), range(1, size.height)]
+    }
+
+    /// The band with the number `k` of so many rows of tiles.
+    pub(super) fn band(&self, rows: usize, k: usize) -> Self {
+        let [column, row] = self.first;
+        let [columns, all] = self.count;
+        Self { first: [column, row + k * rows], count: [columns, rows.min(all - k * rows)] }
+    }
+}
+
+/// Covered pixels next to each other in a row.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Run {
+    pub(super) row: u32,
+    pub(super) from: u32,
+    pub(super) to: u32,
+}
+
 /// A value for each pixel of a rectangle of tiles, and which of the tiles are in use.
 #[derive(Debug)]
 pub(super) struct Tiles<R> {
-    /// First tile of the rectangle in the image, `(column, row)`.
-    pub(super) first: [usize; 2],
-    /// Tiles in the rectangle, `(columns, rows)`.
-    pub(super) count: [usize; 2],
+    pub(super) rectangle: Rectangle,
     /// Row by row; pixels within a tile too.
     pub(super) values: Vec<[R; LANES]>,
     /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
@@ -55,8 +111,7 @@ pub(super) struct Tiles<R> {
 impl<R: Real> Default for Tiles<R> {
     fn default() -> Self {
         Self {
-            first: [0; 2],
-            count: [0; 2],
+            rectangle: Rectangle::default(),
             values: Vec::new(),
             bits: Vec::new(),
             x: Vec::new(),
@@ -69,75 +124,61 @@ impl<R: Real> Default for Tiles<R> {
 const EACH: u64 = 0x0101_0101_0101_0101;
 
 impl<R: Real> Tiles<R> {
-    /// Lay tiles over what `low..high` (pixels) covers of the image; false where that is nothing.
-    pub(super) fn lay(&mut self, size: Size, units: &Units, low: [f64; 2], high: [f64; 2]) -> bool {
-        let sides = [size.width, size.height];
-        for axis in 0..2 {
-            let reach = units.reach / units.scale[axis] + 1.0;
-            let first = (low[axis] - reach).clamp(0.0, sides[axis] as f64) as usize / SIDE;
-            let end = (high[axis] + reach).clamp(0.0, sides[axis] as f64).ceil() as usize;
-            let end = end.div_ceil(SIDE);
-            if first >= end {
-                return false;
-            }
-            (self.first[axis], self.count[axis]) = (first, end - first);
-        }
+    /// Lay tiles over a rectangle.
+    pub(super) fn lay(&mut self, units: &Units, rectangle: Rectangle) {
+        self.rectangle = rectangle;
+        let Rectangle { first, count } = rectangle;
         let place = |axis: usize, pixel: usize| {
-            let pixel = (SIDE * self.first[axis] + pixel) as f64 + 0.5;
+            let pixel = (SIDE * first[axis] + pixel) as f64 + 0.5;
             R::of((pixel - units.half[axis]) * units.scale[axis])
         };
         self.x.clear();
-        self.x.extend((0..self.count[0] + 8).map(|tile| -> [R; LANES] {
+        self.x.extend((0..count[0] + 8).map(|tile| -> [R; LANES] {
             std::array::from_fn(|lane| place(0, SIDE * tile + lane % SIDE))
         }));
         self.y.clear();
-        self.y.extend((0..self.count[1] + 8).map(|tile| -> [R; LANES] {
+        self.y.extend((0..count[1] + 8).map(|tile| -> [R; LANES] {
             std::array::from_fn(|lane| place(1, SIDE * tile + lane / SIDE))
         }));
-        true
-    }
-
-    /// The rectangle in pixels, cut at the image: columns, rows.
-    pub(super) fn pixels(&self, size: Size) -> [std::ops::Range<usize>; 2] {
-        let range = |axis: usize, side: usize| {
-            let first = SIDE * self.first[axis];
-            first..(first + SIDE * self.count[axis]).min(side)
-        };
-        [range(0, size.width), range(1, size.height)]
     }
 
     /// Every pixel of the image gets `value`, those of the tiles that lie outside of it get 0.
     pub(super) fn fill(&mut self, size: Size, value: R) {
         self.values.clear();
-        self.values.resize(self.count[0] * self.count[1], [value; LANES]);
+        self.values.resize(self.rectangle.tiles(), [value; LANES]);
         self.blank(size);
     }
 
     /// Set the pixels outside of the image to 0.
     fn blank(&mut self, size: Size) {
-        let [columns, rows] = self.pixels(size).map(|range| range.len() % SIDE);
+        let count = self.rectangle.count;
+        let [columns, rows] = self.rectangle.pixels(size).map(|range| range.len() % SIDE);
         if columns > 0 {
-            for tile in self.values.iter_mut().skip(self.count[0] - 1).step_by(self.count[0]) {
+            for tile in self.values.iter_mut().skip(count[0] - 1).step_by(count[0]) {
                 tile.chunks_exact_mut(SIDE).for_each(|line| line[columns..].fill(R::ZERO));
             }
         }
         if rows > 0 {
-            for tile in &mut self.values[self.count[0] * (self.count[1] - 1)..] {
+            for tile in &mut self.values[count[0] * (count[1] - 1)..] {
                 tile[SIDE * rows..].fill(R::ZERO);
             }
         }
     }
 
-    /// Set the pixels inside of faces to 0. A centre exactly on an outline is at distance 0 anyway.
-    pub(super) fn cover(&mut self, model: &Model, screen: &Screen, size: Size) {
-        let [columns, rows] = self.pixels(size);
-        hard::runs(model, screen, size, |row, run| {
-            let (from, to) = (run.start.max(columns.start), run.end.min(columns.end));
-            if from >= to || !rows.contains(&row) {
-                return;
+    /// Set the pixels of runs, which are in the order of their rows, to 0.
+    pub(super) fn cover(&mut self, runs: &[Run], size: Size) {
+        let [columns, rows] = self.rectangle.pixels(size);
+        let count = self.rectangle.count[0];
+        let first = runs.partition_point(|run| (run.row as usize) < rows.start);
+        for run in runs[first..].iter().take_while(|run| (run.row as usize) < rows.end) {
+            let row = run.row as usize;
+            let (from, to) =
+                ((run.from as usize).max(columns.start), (run.to as usize).min(columns.end));
+            if from >= to {
+                continue;
             }
             let (line, lane) = ((row - rows.start) / SIDE, SIDE * (row % SIDE));
-            let tiles = &mut self.values[line * self.count[0]..(line + 1) * self.count[0]];
+            let tiles = &mut self.values[line * count..(line + 1) * count];
             let (from, to) = (from - columns.start, to - columns.start);
             let (first, last) = (from / SIDE, (to - 1) / SIDE);
             for (column, tile) in tiles[first..=last].iter_mut().enumerate() {
@@ -147,15 +188,16 @@ impl<R: Real> Tiles<R> {
                     *value = if inside { R::ZERO } else { *value };
                 }
             }
-        });
+        }
     }
 
     /// The tiles in use are those where a pixel is larger than `least`, in size.
     pub(super) fn mark(&mut self, least: R) {
         let stride = self.stride();
         self.bits.clear();
-        self.bits.resize((self.count[0] / 8 + 2) * stride, 0);
-        for (row, tiles) in self.values.chunks_exact(self.count[0]).enumerate() {
+        let columns = self.rectangle.count[0];
+        self.bits.resize((columns / 8 + 2) * stride, 0);
+        for (row, tiles) in self.values.chunks_exact(columns).enumerate() {
             for (column, tile) in tiles.iter().enumerate() {
                 let mut most = R::ZERO;
                 for t in tile {
@@ -167,7 +209,7 @@ impl<R: Real> Tiles<R> {
     }
 
     fn stride(&self) -> usize {
-        self.count[1] + 8
+        self.rectangle.count[1] + 8
     }
 
     /// The tiles in use among 8x8 from a corner on: bit `8 row + column`.
@@ -193,15 +235,22 @@ impl<R: Real> Tiles<R> {
         self.window(column, row) & block
     }
 
-    /// The tiles as a mask: `1 - value`, and 0 where there are no tiles.
-    pub(super) fn compose<T: Pixel>(&self, size: Size, out: &mut [T], background: Background) {
-        let [columns, rows] = self.pixels(size);
-        let seen = (rows.clone(), columns.clone());
+    /// The tiles as a mask, `1 - value`, into an image from row `top` on, which is 0 where there are
+    /// no tiles.
+    pub(super) fn compose<T: Pixel>(
+        &self,
+        size: Size,
+        (out, top): (&mut [T], usize),
+        background: Background,
+    ) {
+        let Rectangle { first, count: [count, _] } = self.rectangle;
+        let [columns, rows] = self.rectangle.pixels(size);
+        let seen = (rows.start - top..rows.end - top, columns.clone());
         background.fill_around(out, T::default(), size.width, seen);
         for row in rows {
-            let line = &mut out[row * size.width..(row + 1) * size.width];
-            let (tile, lane) = (row / SIDE - self.first[1], SIDE * (row % SIDE));
-            let tiles = &self.values[tile * self.count[0]..(tile + 1) * self.count[0]];
+            let line = &mut out[(row - top) * size.width..(row - top + 1) * size.width];
+            let (tile, lane) = (row / SIDE - first[1], SIDE * (row % SIDE));
+            let tiles = &self.values[tile * count..(tile + 1) * count];
             let mut pixels = line[columns.clone()].chunks_exact_mut(SIDE);
             let mut tiles = tiles.iter();
             for (pixels, tile) in pixels.by_ref().zip(tiles.by_ref()) {
@@ -219,12 +268,13 @@ impl<R: Real> Tiles<R> {
 
     /// Multiply by an image over `scale`, and forget the pixels where the mask is full.
     pub(super) fn weigh<T: Pixel>(&mut self, size: Size, image: &[T], scale: f64) {
-        let [columns, rows] = self.pixels(size);
+        let Rectangle { first, count: [count, _] } = self.rectangle;
+        let [columns, rows] = self.rectangle.pixels(size);
         let inverse = 1.0 / scale;
         for row in rows {
             let line = &image[row * size.width..(row + 1) * size.width];
-            let (tile, lane) = (row / SIDE - self.first[1], SIDE * (row % SIDE));
-            let tiles = &mut self.values[tile * self.count[0]..(tile + 1) * self.count[0]];
+            let (tile, lane) = (row / SIDE - first[1], SIDE * (row % SIDE));
+            let tiles = &mut self.values[tile * count..(tile + 1) * count];
             for (pixels, tile) in line[columns.clone()].chunks(SIDE).zip(tiles) {
                 for (pixel, value) in pixels.iter().zip(&mut tile[lane..lane + SIDE]) {
                     let kept = if *value > R::FULL { *value } else { R::ZERO };

@@ -1,6 +1,7 @@
 //! The soft masks against loops over all faces and all pixels, written from the definitions.
 
 mod cutoffs;
+mod large;
 
 use proptest::prelude::*;
 

@@ -1,0 +1,246 @@
+//! An image as bands of rows of tiles, which are worked on side by side where it is large.
+//!
+//! Bands depend on the image alone, and their gradients are added in order: the same bits for any
+//! number of threads.
+
+use std::cell::RefCell;
+
+use rayon::prelude::*;
+
+use super::faces::Source;
+use super::real::{LANES, Real};
+use super::tiles::{Rectangle, Run, SIDE, Tiles, Units};
+use super::{Profile, kernel};
+use crate::raster::{Background, Model, Pixel, Screen, Size, hard};
+
+/// A rectangle of more tiles than this is shared out.
+const LARGE: usize = (1 << 18) / LANES;
+
+/// Rows of tiles in a band.
+const BAND: usize = 64 / SIDE;
+
+/// Buffers of one thread, for one of the floats.
+#[derive(Debug)]
+pub(super) struct Scratch<R> {
+    tiles: Tiles<R>,
+    /// Those that reach a band.
+    faces: Vec<[u32; 3]>,
+}
+
+impl<R: Real> Default for Scratch<R> {
+    fn default() -> Self {
+        Self { tiles: Tiles::default(), faces: Vec::new() }
+    }
+}
+
+thread_local! {
+    static RUNS: RefCell<Vec<Run>> = const { RefCell::new(Vec::new()) };
+}
+
+/// The values of all tiles, for the gradient.
+pub(super) type Product<R> = Vec<[R; LANES]>;
+
+/// What the bands of an image have in common.
+struct Image<'a> {
+    profile: Profile,
+    screen: &'a Screen,
+    faces: &'a [[u32; 3]],
+    size: Size,
+    units: Units,
+    whole: Rectangle,
+    /// Rows of tiles in a band.
+    rows: usize,
+    /// What DIB-R covers.
+    runs: &'a [Run],
+}
+
+/// Draw the mask; every pixel of `out` is written. With `traced`, its product.
+pub(super) fn draw<R: Real, T: Pixel>(
+    profile: Profile,
+    (model, screen): (&Model, &Screen),
+    size: Size,
+    (out, background): (&mut [T], Background),
+    traced: bool,
+) -> Option<Product<R>> {
+    Image::with::<R, _>(profile, (model, screen), size, None, |image| {
+        let mut product = traced.then(|| R::spare().take());
+        let Some(image) = image else {
+            background.fill(out, T::default());
+            return product;
+        };
+        let one = |k: usize, out: &mut [T], top: usize, kept: Option<&mut [[R; LANES]]>| {
+            image.band(k, |source, tiles: &mut Tiles<R>| {
+                image.multiply(source, tiles);
+                tiles.compose(size, (out, top), background);
+                if let Some(kept) = kept {
+                    kept.copy_from_slice(&tiles.values);
+                }
+            });
+        };
+        if let Some(product) = &mut product {
+            product.resize(image.whole.tiles(), [R::ZERO; LANES]);
+        }
+        if image.bands() == 1 {
+            one(0, out, 0, product.as_deref_mut());
+            return product;
+        }
+        let [_, rows] = image.whole.pixels(size);
+        let (head, rest) = out.split_at_mut(rows.start * size.width);
+        let (out, tail) = rest.split_at_mut(rows.len() * size.width);
+        background.fill(head, T::default());
+        background.fill(tail, T::default());
+        let step = SIDE * image.rows;
+        let parts = out.par_chunks_mut(step * size.width).enumerate();
+        match &mut product {
+            Some(product) => parts
+                .zip(product.par_chunks_mut(image.rows * image.whole.count[0]))
+                .for_each(|((k, out), kept)| one(k, out, rows.start + k * step, Some(kept))),
+            None => parts.for_each(|(k, out)| one(k, out, rows.start + k * step, None)),
+        }
+        product
+    })
+}
+
+/// Add the gradient of `sum(upstream * mask)` for image points (pixels) to `du` and `dv`, with the
+/// product of the mask or without.
+pub(super) fn back<R: Real, T: Pixel>(
+    profile: Profile,
+    product: Option<&[[R; LANES]]>,
+    (model, screen): (&Model, &Screen),
+    size: Size,
+    upstream: &[T],
+    [du, dv]: [&mut [f64]; 2],
+) {
+    let kept = product.map(<[_]>::len);
+    Image::with::<R, _>(profile, (model, screen), size, kept, |image| {
+        let Some(image) = image else { return };
+        let product = product.filter(|product| product.len() == image.whole.tiles());
+        let scale = image.largest(upstream);
+        if scale == 0.0 {
+            return;
+        }
+        let one = |k: usize, du: &mut [f64], dv: &mut [f64]| {
+            image.band(k, |source, tiles: &mut Tiles<R>| {
+                if let Some(product) = product {
+                    let first = k * image.rows * image.whole.count[0];
+                    tiles.values.clear();
+                    let values = &product[first..first + tiles.rectangle.tiles()];
+                    tiles.values.extend_from_slice(values);
+                } else {
+                    image.multiply(source, tiles);
+                }
+                tiles.weigh(size, upstream, scale);
+                tiles.mark(R::ZERO);
+                match profile {
+                    Profile::Dibr(_) => kernel::back::<R, false>(source, tiles, scale, du, dv),
+                    Profile::Sigmoid(_) => kernel::back::<R, true>(source, tiles, scale, du, dv),
+                }
+            });
+        };
+        if image.bands() == 1 {
+            one(0, du, dv);
+            return;
+        }
+        let parts: Vec<_> = (0..image.bands())
+            .into_par_iter()
+            .map(|k| {
+                let (mut du, mut dv) = (vec![0.0; du.len()], vec![0.0; dv.len()]);
+                one(k, &mut du, &mut dv);
+                (du, dv)
+            })
+            .collect();
+        for (part_u, part_v) in parts {
+            for (sum, part) in du.iter_mut().zip(part_u).chain(dv.iter_mut().zip(part_v)) {
+                *sum += part;
+            }
+        }
+    });
+}
+
+impl Image<'_> {
+    /// Work on an image, or on `None` where no face reaches it; a product with so many tiles is
+    /// known.
+    fn with<R: Real, O>(
+        profile: Profile,
+        (model, screen): (&Model, &Screen),
+        size: Size,
+        kept: Option<usize>,
+        work: impl FnOnce(Option<&Image<'_>>) -> O,
+    ) -> O {
+        let units = Units::new(size, profile.scale(size), R::REACH);
+        let whole = super::bounds(model, screen)
+            .and_then(|(low, high)| Rectangle::around(size, &units, low, high));
+        let Some(whole) = whole else { return work(None) };
+        // Taken out meanwhile: a thread that waits for bands may be given another image.
+        let mut runs = RUNS.take();
+        runs.clear();
+        if matches!(profile, Profile::Dibr(_)) && kept != Some(whole.tiles()) {
+            hard::runs(model, screen, size, |row, columns| {
+                let [row, from, to] = [row, columns.start, columns.end].map(|n| n as u32);
+                runs.push(Run { row, from, to });
+            });
+        }
+        let rows = if whole.tiles() > LARGE { BAND } else { whole.count[1] };
+        let faces = screen.faces(model);
+        let image = Image { profile, screen, faces, size, units, whole, rows, runs: &runs };
+        let out = work(Some(&image));
+        RUNS.set(runs);
+        out
+    }
+
+    fn bands(&self) -> usize {
+        self.whole.count[1].div_ceil(self.rows)
+    }
+
+    /// Work on the tiles of a band, and on the faces that reach them.
+    fn band<R: Real>(&self, k: usize, work: impl FnOnce(&Source<'_>, &mut Tiles<R>)) {
+        R::with_scratch(|Scratch { tiles, faces }| {
+            let rectangle = self.whole.band(self.rows, k);
+            let (u, v) = (&self.screen.u[..], &self.screen.v[..]);
+            tiles.lay(&self.units, rectangle);
+            let mut near = self.faces;
+            if self.bands() > 1 {
+                let reach = self.units.reach_in_pixels(1);
+                let first = (SIDE * rectangle.first[1]) as f64 - reach;
+                let end = (SIDE * (rectangle.first[1] + rectangle.count[1])) as f64 + reach;
+                faces.clear();
+                faces.extend(self.faces.iter().filter(|face| {
+                    let [a, b, c] = face.map(|corner| v[corner as usize]);
+                    a.max(b).max(c) >= first && a.min(b).min(c) <= end
+                }));
+                near = faces;
+            }
+            work(&Source { faces: near, u, v, units: self.units, rectangle }, tiles);
+        });
+    }
+
+    /// Leave `prod_f (1 - p_f)` in the tiles.
+    fn multiply<R: Real>(&self, source: &Source<'_>, tiles: &mut Tiles<R>) {
+        tiles.fill(self.size, R::ONE);
+        match self.profile {
+            Profile::Dibr(_) => {
+                tiles.cover(self.runs, self.size);
+                tiles.mark(R::ZERO);
+                kernel::draw::<R, false>(source, tiles);
+            }
+            Profile::Sigmoid(_) => {
+                tiles.mark(R::ZERO);
+                kernel::draw::<R, true>(source, tiles);
+            }
+        }
+    }
+
+    /// The largest size of a number of the tiles' part of an image.
+    fn largest<T: Pixel>(&self, image: &[T]) -> f64 {
+        let [columns, rows] = self.whole.pixels(self.size);
+        let mut largest = 0.0_f64;
+        for row in rows {
+            let line = &image[row * self.size.width..(row + 1) * self.size.width];
+            for pixel in &line[columns.clone()] {
+                let value = pixel.to_f64().abs();
+                largest = if value > largest { value } else { largest };
+            }
+        }
+        largest
+    }
+}
