@@ -14,7 +14,7 @@ use super::{Profile, kernel};
 use crate::raster::{Background, Model, Pixel, Screen, Size, hard};
 
 /// A rectangle of more tiles than this is shared out.
-const LARGE: usize = (1 << 18) / LANES;
+const LARGE: usize = (1 << 16) / LANES;
 
 /// Rows of tiles in a band.
 const BAND: usize = 64 / SIDE;
