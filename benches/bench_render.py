@@ -108,6 +108,14 @@ def check_gradient(scene: Scene, name: str) -> None:
         raise AssertionError(f"{name}: gradient {g.t[0, 2]}, central difference {expected}")
 
 
+ONE = (
+    ("coverage", False),
+    ("coverage, sigma 1", False),
+    ("coverage, sigma 1", True),
+    ("dibr", False),
+    ("dibr", True),
+    ("sigmoid", True),
+)
 KINDS = (("hard", False), ("coverage", False), ("coverage", True), ("dibr", False), ("dibr", True))
 
 
@@ -124,6 +132,20 @@ def growth(title: str, scenes: list[tuple[str, Scene]], seconds: float) -> list[
         ]
         print(f"| {label} | " + " | ".join(f"{x:.3f}" for x in ms) + " |", flush=True)
         found.append({"of": label, **dict(zip(heads, ms, strict=True))})
+    return found
+
+
+def alone(scenes: list[tuple[str, Scene]], seconds: float) -> list[dict[str, Any]]:
+    """Milliseconds of one image in a call, by one thread and by two: bands side by side."""
+    print("\nOne image in a call, least ms by one thread and by two\n")
+    print("| | | 1 thread | 2 threads | faster |\n|---|---|--:|--:|--:|")
+    found = []
+    for label, scene in scenes:
+        for name, backward in ONE:
+            one, two = (clock(work_of(scene, name, backward, n), 1, seconds)[0] for n in (1, 2))
+            kind = name + (" + gradient" if backward else "")
+            print(f"| {label} | {kind} | {one:.2f} | {two:.2f} | {one / two:.2f} |", flush=True)
+            found.append({"of": label, "mode": kind, "one": one, "two": two})
     return found
 
 
@@ -247,6 +269,9 @@ def main() -> None:
             "Images in one call, 320 x 240",
             [(str(n), scene_of(mesh, 240, 320, n)) for n in counts],
             few_s,
+        )
+        document["one image"] = alone(
+            [(f"{w} x {h}", scene_of(mesh, h, w, 1)) for h, w in sizes[2:]], few_s
         )
         if Path("/proc/self/clear_refs").exists():
             document["memory"] = memory(options.mesh, options.quick)
