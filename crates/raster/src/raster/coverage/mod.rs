@@ -153,8 +153,8 @@ fn clear<T: Pixel>(out: &mut [T], background: Background) {
     }
 }
 
-/// The areas of an extent; every pixel of the rows of the extent is written, and, of images that are worked on as a
-/// whole, every other too.
+/// The areas of an extent; every pixel of the rows of the extent is written, and, of images that
+/// are worked on as a whole, every other too.
 fn areas<T: Pixel>(
     outline: &Outline,
     extent: Extent,

@@ -16,6 +16,9 @@ use crate::raster::{Background, Model, Pixel, Screen, Size, hard};
 /// A rectangle of more tiles than this is shared out.
 const LARGE: usize = (1 << 16) / LANES;
 
+/// The product of more tiles than this is not kept for the gradient.
+const MOST_KEPT: usize = (1 << 22) / LANES;
+
 /// Rows of tiles in a band.
 const BAND: usize = 64 / SIDE;
 
@@ -54,7 +57,7 @@ struct Image<'a> {
     runs: &'a [Run],
 }
 
-/// Draw the mask; every pixel of `out` is written. With `traced`, its product.
+/// Draw the mask; every pixel of `out` is written. With `traced`, its product, unless it is large.
 pub(super) fn draw<R: Real, T: Pixel>(
     profile: Profile,
     (model, screen): (&Model, &Screen),
@@ -63,7 +66,8 @@ pub(super) fn draw<R: Real, T: Pixel>(
     traced: bool,
 ) -> Option<Product<R>> {
     Image::with::<R, _>(profile, (model, screen), size, None, |image| {
-        let mut product = traced.then(|| R::spare().take());
+        let kept = traced && image.is_none_or(|image| image.whole.tiles() <= MOST_KEPT);
+        let mut product = kept.then(|| R::spare().take());
         let Some(image) = image else {
             background.fill(out, T::default());
             return product;

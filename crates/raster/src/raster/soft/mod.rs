@@ -86,9 +86,6 @@ impl Kept {
     }
 }
 
-/// Images of more pixels keep no product.
-const LARGE: usize = 1 << 20;
-
 /// The exact soft masks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Profile {
@@ -118,7 +115,7 @@ impl Profile {
     }
 
     /// Draw the mask `(H, W)`; every pixel of `out` is written. With `traced`, what the gradient
-    /// needs of it, for images up to a size.
+    /// needs of it, where the tiles are not too many.
     pub(super) fn draw<T: Pixel>(
         self,
         model: &Model,
@@ -127,7 +124,6 @@ impl Profile {
         out: (&mut [T], Background),
         traced: bool,
     ) -> Option<Trace> {
-        let traced = traced && size.pixels() <= LARGE;
         let values = if self.is_single::<T>(size) {
             bands::draw(self, (model, screen), size, out, traced).map(Values::Single)
         } else {
