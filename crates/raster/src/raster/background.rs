@@ -8,11 +8,16 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 /// Outputs of more bytes than this do not stay in a cache until they are read.
 const FAR: usize = 64 << 20;
 
 /// A stretch of fewer bytes is written as any other: waiting for the end of the others takes longer.
 const SHORTEST: usize = 4096;
+
+/// Longer stretches are shared out, in parts of so many numbers.
+const LARGE: usize = 1 << 18;
 
 /// How the background of a batch is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +29,7 @@ pub(crate) enum Background {
 }
 
 /// Numbers that are nothing but their bits.
-pub trait Plain: Copy {
+pub trait Plain: Copy + Send + Sync {
     /// The value over and over, in eight bytes.
     fn word(self) -> u64;
 }
@@ -76,6 +81,16 @@ impl Background {
             out.fill(value);
         } else {
             far(out, value);
+        }
+    }
+
+    /// As [`fill`](Self::fill), by all threads. One that waits for the others may be given another
+    /// image meanwhile, so nothing may be borrowed from its buffers.
+    pub(crate) fn fill_together<T: Plain>(self, out: &mut [T], value: T) {
+        if out.len() > LARGE {
+            out.par_chunks_mut(LARGE).for_each(|part| self.fill(part, value));
+        } else {
+            self.fill(out, value);
         }
     }
 

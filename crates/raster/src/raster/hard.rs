@@ -82,9 +82,9 @@ pub(super) fn draw_over<T: Pixel>(
     size: Size,
     (out, background): (&mut [T], Background),
 ) {
+    background.fill_together(out, T::default());
     SCRATCH.with_borrow_mut(|scratch| {
         let (width, one) = (size.width, T::from_f64(1.0));
-        background.fill(out, T::default());
         scratch.sweep(model, screen, size, |row, columns| {
             out[row * width..(row + 1) * width][columns].fill(one);
         });

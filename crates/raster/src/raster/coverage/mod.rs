@@ -112,16 +112,17 @@ pub(super) fn draw_traced<T: Pixel>(
             let (height, width) = kernel.padded(size);
             outline.find(model, screen, kernel.radius() as f64, height as f64, width as f64);
             let extent = outline.extent(height, width);
+            let clear = |out: &mut [T]| background.fill_together(out, T::default());
             // Those who work on an image as a whole write all of it, and those who work on bands
             // the rows of these.
             match extent {
                 Some(extent) if kernel.radius() == 0 => {
                     if rows_of_band(extent) < extent.height() {
-                        clear(&mut out[..extent.rows.0 * size.width], background);
-                        clear(&mut out[extent.rows.1 * size.width..], background);
+                        clear(&mut out[..extent.rows.0 * size.width]);
+                        clear(&mut out[extent.rows.1 * size.width..]);
                     }
                 }
-                _ => clear(out, background),
+                _ => clear(out),
             }
             let extent = extent?;
             let kind = Kind { vertices: model.vertex_count(), size, sigma };
@@ -142,15 +143,6 @@ pub(super) fn draw_traced<T: Pixel>(
             trace
         })
     })
-}
-
-/// Set pixels to 0.
-fn clear<T: Pixel>(out: &mut [T], background: Background) {
-    if out.len() > LARGE {
-        out.par_chunks_mut(LARGE).for_each(|part| background.fill(part, T::default()));
-    } else {
-        background.fill(out, T::default());
-    }
 }
 
 /// The areas of an extent; every pixel of the rows of the extent is written, and, of images that

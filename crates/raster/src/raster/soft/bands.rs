@@ -69,7 +69,7 @@ pub(super) fn draw<R: Real, T: Pixel>(
         let kept = traced && image.is_none_or(|image| image.whole.tiles() <= MOST_KEPT);
         let mut product = kept.then(|| R::spare().take());
         let Some(image) = image else {
-            background.fill(out, T::default());
+            background.fill_together(out, T::default());
             return product;
         };
         let one = |k: usize, out: &mut [T], top: usize, kept: Option<&mut [[R; LANES]]>| {
@@ -84,15 +84,15 @@ pub(super) fn draw<R: Real, T: Pixel>(
         if let Some(product) = &mut product {
             product.resize(image.whole.tiles(), [R::ZERO; LANES]);
         }
-        if image.bands() == 1 {
-            one(0, out, 0, product.as_deref_mut());
-            return product;
-        }
         let [_, rows] = image.whole.pixels(size);
         let (head, rest) = out.split_at_mut(rows.start * size.width);
         let (out, tail) = rest.split_at_mut(rows.len() * size.width);
-        background.fill(head, T::default());
-        background.fill(tail, T::default());
+        background.fill_together(head, T::default());
+        background.fill_together(tail, T::default());
+        if image.bands() == 1 {
+            one(0, out, rows.start, product.as_deref_mut());
+            return product;
+        }
         let step = SIDE * image.rows;
         let parts = out.par_chunks_mut(step * size.width).enumerate();
         match &mut product {

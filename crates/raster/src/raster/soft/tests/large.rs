@@ -53,19 +53,23 @@ fn bands_have_the_same_bits_for_any_number_of_threads() {
     let model = Model::new(&points, &scene.faces).expect("a model");
     let camera = Intrinsics::new(1.0, 1.0, 0.0, 0.0).expect("a camera");
     let rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    let views = [View { rotation, translation: [0.0, 0.0, 1.0], camera }];
+    let view = |shift: f64| View { rotation, translation: [shift, -shift, 1.0], camera };
+    let views = [view(0.0), view(3.3), view(-40.0)];
+    let pixels = views.len() * SIZE.pixels();
     let upstream: Vec<f32> =
-        (0..SIZE.pixels()).map(|k| ((k * 7919) % 1000) as f32 / 500.0 - 1.0).collect();
-    for mode in EXACT {
+        (0..pixels).map(|k| ((k * 7919) % 1000) as f32 / 500.0 - 1.0).collect();
+    let others = [0.0, 1.5].map(|sigma| Mode::Coverage { sigma });
+    for mode in EXACT.into_iter().chain(others).chain([Mode::Hard]) {
         let batch = Batch { models: &[&model], views: &views, size: SIZE, mode, near: None };
         let wanted = Wanted { vertices: true };
         let all = [1, 2, 7].map(|count| {
             threads::install(count, || {
-                let mut mask = vec![9.0_f32; SIZE.pixels()];
+                let mut mask = vec![9.0_f32; pixels];
                 let traces = batch.draw_traced(&mut mask).expect("drawn");
                 let kept = batch.gradients_of(&traces, &upstream, wanted).expect("drawn");
                 let again = batch.gradients(&upstream, wanted).expect("drawn");
-                assert!(traces.bytes() > 0 && again.vertices[0].iter().any(|g| *g != 0.0));
+                assert!(mask.iter().any(|&value| value > 0.5));
+                assert_eq!(again.vertices[0].iter().any(|g| *g != 0.0), mode != Mode::Hard);
                 assert_eq!((&again.views, &again.vertices), (&kept.views, &kept.vertices));
                 (mask, kept.views, kept.vertices)
             })
