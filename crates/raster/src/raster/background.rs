@@ -94,7 +94,7 @@ impl Background {
         }
     }
 
-    /// Give one value to everything but columns `but.1` of rows `but.0`, in rows of `width`.
+    /// Give one value to everything but these columns of these rows, in rows of `width`.
     pub(crate) fn fill_around<T: Plain>(
         self,
         out: &mut [T],
@@ -114,7 +114,7 @@ impl Background {
 /// As [`slice::fill`], past the caches.
 fn far<T: Plain>(out: &mut [T], value: T) {
     // SAFETY: lines have no bits without meaning, and get only copies of the bits of a `T`, from a
-    // multiple of its size on.
+    // multiple of its size on; `Plain` is implemented in this file alone.
     let (head, lines, tail) = unsafe { out.align_to_mut::<Line>() };
     head.fill(value);
     tail.fill(value);

@@ -39,6 +39,8 @@ mod spare;
 mod topology;
 mod trace;
 
+use rayon::prelude::*;
+
 pub(crate) use self::background::{Background, Plain};
 pub use self::batch::{Batch, Gradients, Traces, Wanted};
 pub use self::model::Model;
@@ -265,6 +267,28 @@ impl Mode {
             Self::Sigmoid { sigma, cutoff } => {
                 sigmoid::back(model, screen, size, sigma, cutoff, upstream, du, dv);
             }
+        }
+    }
+}
+
+/// Gradients of so many parts of an image, side by side, then added to `du` and `dv` in order.
+fn add_in_order(
+    parts: usize,
+    [du, dv]: [&mut [f64]; 2],
+    one: impl Fn(usize, &mut [f64], &mut [f64]) + Sync,
+) {
+    let points = du.len();
+    let found: Vec<_> = (0..parts)
+        .into_par_iter()
+        .map(|k| {
+            let (mut du, mut dv) = (vec![0.0; points], vec![0.0; points]);
+            one(k, &mut du, &mut dv);
+            (du, dv)
+        })
+        .collect();
+    for (part_u, part_v) in found {
+        for (sum, part) in du.iter_mut().zip(part_u).chain(dv.iter_mut().zip(part_v)) {
+            *sum += part;
         }
     }
 }

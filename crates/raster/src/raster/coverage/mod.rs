@@ -44,7 +44,7 @@ pub use self::trace::Trace;
 use self::trace::{Kind, Segment};
 use super::blur::{self, Buffers};
 use super::outline::{Extent, Outline};
-use super::{Background, Model, Pixel, Screen, Size};
+use super::{Background, Model, Pixel, Screen, Size, add_in_order};
 
 /// Buffers for a band of rows.
 #[derive(Debug, Default)]
@@ -278,19 +278,9 @@ fn forces<T: Pixel>(
         one(extent, weights, du, dv);
         return;
     }
-    let parts: Vec<_> = (0..height.div_ceil(rows))
-        .into_par_iter()
-        .map(|k| {
-            let (mut du, mut dv) = (vec![0.0; du.len()], vec![0.0; dv.len()]);
-            one(band(extent, rows, k), &weights[k * rows * stride..], &mut du, &mut dv);
-            (du, dv)
-        })
-        .collect();
-    for (part_u, part_v) in parts {
-        for (sum, part) in du.iter_mut().zip(part_u).chain(dv.iter_mut().zip(part_v)) {
-            *sum += part;
-        }
-    }
+    add_in_order(height.div_ceil(rows), [du, dv], |k, du, dv| {
+        one(band(extent, rows, k), &weights[k * rows * stride..], du, dv);
+    });
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::faces::Source;
 use super::real::{LANES, Real};
 use super::tiles::{Rectangle, Run, SIDE, Tiles, Units};
 use super::{Profile, kernel};
-use crate::raster::{Background, Model, Pixel, Screen, Size, hard};
+use crate::raster::{Background, Model, Pixel, Screen, Size, add_in_order, hard};
 
 /// A rectangle of more tiles than this is shared out.
 const LARGE: usize = (1 << 16) / LANES;
@@ -145,19 +145,7 @@ pub(super) fn back<R: Real, T: Pixel>(
             one(0, du, dv);
             return;
         }
-        let parts: Vec<_> = (0..image.bands())
-            .into_par_iter()
-            .map(|k| {
-                let (mut du, mut dv) = (vec![0.0; du.len()], vec![0.0; dv.len()]);
-                one(k, &mut du, &mut dv);
-                (du, dv)
-            })
-            .collect();
-        for (part_u, part_v) in parts {
-            for (sum, part) in du.iter_mut().zip(part_u).chain(dv.iter_mut().zip(part_v)) {
-                *sum += part;
-            }
-        }
+        add_in_order(image.bands(), [du, dv], one);
     });
 }
 
