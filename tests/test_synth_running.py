@@ -272,6 +272,20 @@ def dask():
         yield cluster
 
 
+def wait_until_idle(address):
+    """Until no worker is at work on anything: files say nothing between two rows of a unit."""
+    import distributed
+
+    def running(dask_worker):  # here, so that the workers need not know this module
+        return len(dask_worker.state.executing)  # cancelled ones too
+
+    with distributed.Client(address, set_as_default=False) as client:
+        until = time.monotonic() + 60
+        while any(client.run(running).values()):
+            assert time.monotonic() < until
+            time.sleep(0.05)
+
+
 def render_on(address, plan, root, **options):
     sources = Sources(os.path.relpath(plan), samples=1)
     found = sources.load(threads=1)
@@ -362,9 +376,7 @@ def test_stopping_cancels_what_waits(plan, whole, dask, tmp_path):
     root = tmp_path / "data"
     with pytest.raises(StoppedError):
         render_on(dask.scheduler_address, plan, root, progress=stop)
-    until = time.monotonic() + 60  # a worker finishes the rows that it has begun
-    while time.monotonic() < until and any(".part" in name for name in names(root)):
-        time.sleep(0.05)
+    wait_until_idle(dask.scheduler_address)  # a worker finishes the rows that it has begun
     there = records(root)
     assert 0 < there < ROWS
     assert not any(".part" in name for name in names(root))
