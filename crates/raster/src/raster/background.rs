@@ -111,6 +111,54 @@ impl Background {
     }
 }
 
+/// An output that is given its background between steps of other work: stores wait for the memory,
+/// and that work does not wait for them unless there are many at a time.
+#[derive(Debug)]
+pub(crate) struct Beside<'a, T> {
+    out: &'a mut [T],
+    value: T,
+    /// So many are written.
+    done: usize,
+    /// Of a step.
+    share: usize,
+}
+
+impl<'a, T: Plain> Beside<'a, T> {
+    /// Outputs that are written past the caches, and those that threads share, are done at once.
+    pub(crate) fn new(background: Background, out: &'a mut [T], value: T) -> Self {
+        let shared = out.len() > LARGE && rayon::current_num_threads() > 1;
+        let at_once = shared || background == Background::Far;
+        if at_once {
+            background.fill_together(out, value);
+        }
+        let done = if at_once { out.len() } else { 0 };
+        Self { out, value, done, share: 0 }
+    }
+
+    /// So many steps share what is left.
+    pub(crate) fn pace(&mut self, steps: usize) {
+        self.share = (self.out.len() - self.done).div_ceil(steps.max(1));
+    }
+
+    /// Write the next part.
+    #[inline(always)]
+    pub(crate) fn step(&mut self) {
+        let end = (self.done + self.share).min(self.out.len());
+        self.out[self.done..end].fill(self.value);
+        self.done = end;
+    }
+
+    /// The output, all of it written.
+    #[inline(always)]
+    pub(crate) fn finish(&mut self) -> &mut [T] {
+        if self.done < self.out.len() {
+            self.out[self.done..].fill(self.value);
+            self.done = self.out.len();
+        }
+        self.out
+    }
+}
+
 /// As [`slice::fill`], past the caches.
 fn far<T: Plain>(out: &mut [T], value: T) {
     // SAFETY: lines have no bits without meaning, and get only copies of the bits of a `T`, from a
@@ -191,6 +239,27 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn steps_write_each_part_once_and_the_end_what_is_left() {
+        for (length, steps, taken) in [(100, 7, 7), (100, 7, 3), (3, 10, 10), (0, 4, 4), (5, 0, 1)]
+        {
+            let mut out = vec![7_i32; length];
+            let mut beside = Beside::new(Background::Near, &mut out, 0);
+            beside.pace(steps);
+            for _ in 0..taken {
+                beside.step();
+            }
+            let expected = (taken * length.div_ceil(steps.max(1))).min(length);
+            assert_eq!(beside.done, expected);
+            assert!(beside.out[..expected].iter().all(|&x| x == 0));
+            assert!(beside.out[expected..].iter().all(|&x| x == 7));
+            assert!(beside.finish().iter().all(|&x| x == 0));
+        }
+        let mut out = vec![7_i32; 100];
+        let beside = Beside::new(Background::Far, &mut out, 0);
+        assert_eq!(beside.done, 100);
     }
 
     #[test]

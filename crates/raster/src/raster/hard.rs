@@ -9,7 +9,7 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use super::outline::{Extent, Net, NetEdge, Outline};
-use super::{Background, Model, Pixel, Screen, Size};
+use super::{Background, Beside, Model, Pixel, Screen, Size};
 
 /// Buffers of one thread.
 #[derive(Debug, Default)]
@@ -48,6 +48,9 @@ const ON_EDGE: f64 = 1e-10;
 /// Columns of all rows of a band, unless one row has more.
 const BAND: usize = 1 << 20;
 
+/// Edges between two parts of the mask that are cleared.
+const STEP: usize = 4;
+
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
 }
@@ -82,12 +85,10 @@ pub(super) fn draw_over<T: Pixel>(
     size: Size,
     (out, background): (&mut [T], Background),
 ) {
-    background.fill_together(out, T::default());
+    let mut mask = Mask { out: Beside::new(background, out, T::default()), width: size.width };
     SCRATCH.with_borrow_mut(|scratch| {
-        let (width, one) = (size.width, T::from_f64(1.0));
-        scratch.sweep(model, screen, size, |row, columns| {
-            out[row * width..(row + 1) * width][columns].fill(one);
-        });
+        scratch.sweep(model, screen, size, &mut mask);
+        let (out, one) = (mask.out.finish(), T::from_f64(1.0));
         for &pixel in &scratch.on_edge {
             out[pixel] = one;
         }
@@ -105,24 +106,67 @@ pub(super) fn runs(
     size: Size,
     cover: impl FnMut(usize, Range<usize>),
 ) {
-    SCRATCH.with_borrow_mut(|scratch| scratch.sweep(model, screen, size, cover));
+    SCRATCH.with_borrow_mut(|scratch| scratch.sweep(model, screen, size, &mut Runs(cover)));
+}
+
+/// What a sweep does with its runs.
+trait Paint {
+    /// So many steps are to come.
+    fn pace(&mut self, _steps: usize) {}
+    /// A step before the first run.
+    fn step(&mut self) {}
+    /// The first run is next.
+    fn finish(&mut self) {}
+    /// A run of pixels of a row.
+    fn cover(&mut self, row: usize, columns: Range<usize>);
+}
+
+struct Runs<F>(F);
+
+impl<F: FnMut(usize, Range<usize>)> Paint for Runs<F> {
+    #[inline(always)]
+    fn cover(&mut self, row: usize, columns: Range<usize>) {
+        self.0(row, columns);
+    }
+}
+
+/// A mask that is cleared during the steps.
+struct Mask<'a, T> {
+    out: Beside<'a, T>,
+    width: usize,
+}
+
+impl<T: Pixel> Paint for Mask<'_, T> {
+    fn pace(&mut self, steps: usize) {
+        self.out.pace(steps);
+    }
+
+    #[inline(always)]
+    fn step(&mut self) {
+        self.out.step();
+    }
+
+    fn finish(&mut self) {
+        self.out.finish();
+    }
+
+    #[inline(always)]
+    fn cover(&mut self, row: usize, columns: Range<usize>) {
+        let start = row * self.width;
+        self.out.finish()[start + columns.start..start + columns.end].fill(T::from_f64(1.0));
+    }
 }
 
 impl Scratch {
     /// As [`runs`], and leave what has to do with borders.
     #[inline(always)]
-    fn sweep(
-        &mut self,
-        model: &Model,
-        screen: &Screen,
-        size: Size,
-        mut cover: impl FnMut(usize, Range<usize>),
-    ) {
+    fn sweep(&mut self, model: &Model, screen: &Screen, size: Size, paint: &mut impl Paint) {
         let Self { outline, crossings, borders, table, on_edge } = self;
         let net = outline.choose(model, screen, 0.0);
         borders.clear();
         on_edge.clear();
-        let reach = sort(&net, size, crossings, borders);
+        let reach = sort(&net, size, (crossings, borders), paint);
+        paint.pace(crossings.len().div_ceil(STEP));
         let (top, bottom) = reach.rows;
         let (left, right) = reach.columns;
         let words = (right - left) / 64 + 1; // a bit for the column after the last one, too
@@ -130,18 +174,22 @@ impl Scratch {
         for first in (top..bottom).step_by(rows) {
             let band = Extent { rows: (first, (first + rows).min(bottom)), ..reach };
             table.grow(words * (band.rows.1 - first));
-            for c in &*crossings {
-                let e = net.edge(c.edge as usize);
-                if first == top && e.x0 == e.x1 {
-                    borders.push(e);
+            for crossings in crossings.chunks(STEP) {
+                for c in crossings {
+                    let e = net.edge(c.edge as usize);
+                    if first == top && e.x0 == e.x1 {
+                        borders.push(e);
+                    }
+                    table.mark(&e, c, &band, size.width, on_edge);
                 }
-                table.mark(&e, c, &band, size.width, on_edge);
+                paint.step();
             }
+            paint.finish();
             let changes = table.change.chunks_exact_mut(64 * words);
             let touched = table.touched.chunks_exact_mut(words);
             for ((row, change), touched) in (first..band.rows.1).zip(changes).zip(touched) {
                 take(change, touched, |columns| {
-                    cover(row, left + columns.start..left + columns.end);
+                    paint.cover(row, left + columns.start..left + columns.end);
                 });
             }
         }
@@ -153,8 +201,8 @@ impl Scratch {
 fn sort(
     net: &Net,
     size: Size,
-    crossings: &mut Vec<Crossing>,
-    borders: &mut Vec<NetEdge>,
+    (crossings, borders): (&mut Vec<Crossing>, &mut Vec<NetEdge>),
+    paint: &mut impl Paint,
 ) -> Extent {
     let Size { height, width } = size;
     // Every edge is written, and stays if it crosses a line.
@@ -162,7 +210,11 @@ fn sort(
     let mut count = 0;
     let (mut top, mut bottom) = (height, 0);
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    paint.pace(2 * net.count().div_ceil(STEP)); // the other half is for what follows
     for k in 0..net.count() {
+        if k % STEP == 0 {
+            paint.step();
+        }
         let [a, b] = net.ends(k);
         let (upper, lower) = (if a.1 < b.1 { a.1 } else { b.1 }, if a.1 < b.1 { b.1 } else { a.1 });
         for (x, _) in [a, b] {

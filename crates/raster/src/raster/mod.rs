@@ -41,7 +41,7 @@ mod trace;
 
 use rayon::prelude::*;
 
-pub(crate) use self::background::{Background, Plain};
+pub(crate) use self::background::{Background, Beside, Plain};
 pub use self::batch::{Batch, Gradients, Traces, Wanted};
 pub use self::model::Model;
 pub use self::screen::{Cut, Screen, View, ViewGradient};

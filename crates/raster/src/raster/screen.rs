@@ -1,9 +1,12 @@
 //! A model under a view: points in the camera frame and in the image, cut at the near plane.
 
+mod chain;
+
 use foldhash::fast::FixedState;
 use hashbrown::HashMap;
 use pulp::{Arch, Simd, WithSimd};
 
+pub use self::chain::ViewGradient;
 use super::Model;
 use super::planes::Facing;
 use crate::camera::Intrinsics;
@@ -100,17 +103,6 @@ pub struct Screen {
     vertices: usize,
     clipped: bool,
     facing: Option<Facing>,
-}
-
-/// Derivatives of a number with respect to a view.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct ViewGradient {
-    /// `dL/dR`, `R` as a free matrix, row by row.
-    pub rotation: [[f64; 3]; 3],
-    /// `dL/dt`.
-    pub translation: [f64; 3],
-    /// `dL/dK`, row by row; zero outside `fx, skew, cx, fy, cy`.
-    pub camera: [[f64; 3]; 3],
 }
 
 impl Screen {
@@ -218,66 +210,6 @@ impl Screen {
             self.z.push(near);
             self.u.push((k.fx * x + k.skew * y) / near + k.cx);
             self.v.push(k.fy * y / near + k.cy);
-        }
-    }
-
-    /// Carry the gradient for image points on to the view and, where asked for, to the model's
-    /// vertices (`(V, 3)`, interleaved, added to).
-    ///
-    /// # Panics
-    /// If the slices are shorter than [`points`](Self::points) or `3 V`.
-    pub fn pull_back(
-        &self,
-        model: &Model,
-        view: &View,
-        du: &[f64],
-        dv: &[f64],
-        out: &mut ViewGradient,
-        mut vertices: Option<&mut [f64]>,
-    ) {
-        let k = &view.camera;
-        let mut on_vertex = |v: usize, g: [f64; 3], out: &mut ViewGradient| {
-            let p = model.vertex(v);
-            for row in 0..3 {
-                out.translation[row] += g[row];
-                for column in 0..3 {
-                    out.rotation[row][column] += g[row] * p[column];
-                }
-            }
-            if let Some(vertices) = vertices.as_deref_mut() {
-                let r = &view.rotation;
-                for column in 0..3 {
-                    vertices[3 * v + column] +=
-                        r[0][column] * g[0] + r[1][column] * g[1] + r[2][column] * g[2];
-                }
-            }
-        };
-        for point in 0..self.points() {
-            let (gu, gv) = (du[point], dv[point]);
-            if gu == 0.0 && gv == 0.0 {
-                continue;
-            }
-            let (x, y, z) = (self.x[point], self.y[point], self.z[point]);
-            let inverse = 1.0 / z;
-            let (xn, yn) = (x * inverse, y * inverse);
-            out.camera[0][0] += gu * xn;
-            out.camera[0][1] += gu * yn;
-            out.camera[0][2] += gu;
-            out.camera[1][1] += gv * yn;
-            out.camera[1][2] += gv;
-            let gx = k.fx * gu * inverse;
-            let gy = (k.skew * gu + k.fy * gv) * inverse;
-            if point < self.vertices {
-                on_vertex(point, [gx, gy, -(gx * xn + gy * yn)], out);
-            } else {
-                // z stays on the plane: what is lost there comes back through s.
-                let Cut { a, b, s } = self.cuts[point - self.vertices];
-                let (a, b) = (a as usize, b as usize);
-                let ds = gx * (self.x[b] - self.x[a]) + gy * (self.y[b] - self.y[a]);
-                let per_depth = ds / (self.z[b] - self.z[a]);
-                on_vertex(a, [(1.0 - s) * gx, (1.0 - s) * gy, (s - 1.0) * per_depth], out);
-                on_vertex(b, [s * gx, s * gy, -s * per_depth], out);
-            }
         }
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Mutex;
 /// At most so many bytes are kept of each kind.
 const MOST_BYTES: usize = 64 << 20;
 
-/// Empty lists, and the bytes of their memory.
+/// Lists, and the bytes of their memory.
 type Lists<T> = (Vec<Vec<T>>, usize);
 
 /// Lists that are not in use.
@@ -18,7 +18,8 @@ impl<T> Spare<T> {
         Self(Mutex::new((Vec::new(), 0)))
     }
 
-    /// An empty list. Nobody is waited for: a process may be a copy of one that held the lock.
+    /// A list, with what it held. Nobody is waited for: a process may be a copy of one that held the
+    /// lock.
     pub(super) fn take(&self) -> Vec<T> {
         let Ok(mut spare) = self.0.try_lock() else { return Vec::new() };
         let list = spare.0.pop().unwrap_or_default();
@@ -26,13 +27,12 @@ impl<T> Spare<T> {
         list
     }
 
-    pub(super) fn give(&self, mut list: Vec<T>) {
+    pub(super) fn give(&self, list: Vec<T>) {
         let bytes = list.capacity() * size_of::<T>();
         if let Ok(mut spare) = self.0.try_lock()
             && bytes > 0
             && spare.1 + bytes <= MOST_BYTES
         {
-            list.clear();
             spare.0.push(list);
             spare.1 += bytes;
         }
@@ -52,7 +52,7 @@ mod tests {
         let (place, capacity) = (list.as_ptr(), list.capacity());
         spare.give(list);
         let again = spare.take();
-        assert_eq!((again.as_ptr(), again.capacity(), again.len()), (place, capacity, 0));
+        assert_eq!((again.as_ptr(), again.capacity(), again.len()), (place, capacity, 1));
         spare.give(Vec::with_capacity(MOST_BYTES / 8 + 1));
         assert_eq!(spare.take().capacity(), 0);
     }

@@ -71,10 +71,10 @@ pub(super) struct Solved {
 pub(super) struct Shown {
     /// 1 where only the left side of the first part is covered, -1 where only the right one is.
     pub(super) first: Lanes,
-    /// Visible height of each part, positive if the uncovered side is the right one, and its
-    /// middle.
-    pub(super) heights: [Lanes; PARTS],
-    pub(super) middles: [Lanes; PARTS],
+    /// Visible height, positive where the uncovered side is the right one, and its sum weighted
+    /// with where it is.
+    pub(super) height: Lanes,
+    pub(super) moment: Lanes,
 }
 
 impl Default for Solved {
@@ -227,7 +227,8 @@ mod tests {
         assert_eq!(widest.handed_back, scalar.handed_back);
         for i in 0..batch.most {
             assert_eq!(widest.pieces[i].first, scalar.pieces[i].first);
-            assert_eq!(widest.pieces[i].heights, scalar.pieces[i].heights);
+            assert_eq!(widest.pieces[i].height, scalar.pieces[i].height);
+            assert_eq!(widest.pieces[i].moment, scalar.pieces[i].moment);
         }
     }
 

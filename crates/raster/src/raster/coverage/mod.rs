@@ -41,7 +41,7 @@ use self::rows::{Rows, walk};
 use self::solver::Solver;
 use self::target::{Layout, Target};
 pub use self::trace::Trace;
-use self::trace::{Kind, Segment};
+use self::trace::{Kind, Segments};
 use super::blur::{self, Buffers};
 use super::outline::{Extent, Outline};
 use super::{Background, Model, Pixel, Screen, Size, add_in_order};
@@ -52,7 +52,7 @@ struct Worker {
     rows: Rows,
     solver: Solver,
     turned: Vec<Piece>,
-    segments: Vec<Segment>,
+    segments: Segments,
 }
 
 thread_local! {

@@ -148,6 +148,7 @@ pub(super) fn solve<S: Simd, const N: usize>(
         let cut = s.greater_than_f64s(crossings[i], zero);
         let (mut left, mut from) = (layers[i], y0[i]);
         let out = &mut solved.pieces[i];
+        let (mut visible, mut moment) = (zero, zero);
         for k in 0..parts {
             let to = if k + 1 < parts { at[k][i] } else { y1[i] };
             let covered = |layers| when(s.greater_than_f64s(layers, zero), one);
@@ -160,12 +161,14 @@ pub(super) fn solve<S: Simd, const N: usize>(
             if N == 1 {
                 store(&mut out.first, shown);
             }
-            store(&mut out.heights[k], height);
-            store(&mut out.middles[k], middle);
+            visible = s.add_f64s(visible, height);
+            moment = s.add_f64s(moment, s.mul_f64s(height, middle));
             if k + 1 < parts {
                 (left, from) = (s.add_f64s(left, change[k][i]), to);
             }
         }
+        store(&mut out.height, visible);
+        store(&mut out.moment, moment);
     }
     store(&mut solved.area, area);
     store(&mut solved.handed_back, wrong);

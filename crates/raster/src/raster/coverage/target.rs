@@ -4,9 +4,9 @@ use super::super::outline::{Extent, NetEdge};
 use super::super::{Background, Pixel};
 use super::UNIT;
 use super::cell::{Piece, transposed};
-use super::lanes::{Batch, PARTS, Place, Solved};
+use super::lanes::{Batch, Place, Solved};
 use super::solver::{Sink, Solver};
-use super::trace::Segment;
+use super::trace::{Segment, Segments};
 
 /// Where the results of an image or of a band of it go.
 pub(super) struct Target<'a, T> {
@@ -15,7 +15,7 @@ pub(super) struct Target<'a, T> {
     layout: Layout,
     /// So many pixels are written, but for those to solve.
     written: usize,
-    segments: &'a mut Vec<Segment>,
+    segments: &'a mut Segments,
     solver: &'a mut Solver,
     turned: &'a mut Vec<Piece>,
 }
@@ -34,7 +34,7 @@ impl<'a, T: Pixel> Target<'a, T> {
     pub(super) fn new(
         out: &'a mut [T],
         layout: Layout,
-        segments: &'a mut Vec<Segment>,
+        segments: &'a mut Segments,
         (solver, turned): (&'a mut Solver, &'a mut Vec<Piece>),
     ) -> Self {
         Self { out, layout, written: 0, segments, solver, turned }
@@ -112,48 +112,48 @@ impl<'a, T: Pixel> Target<'a, T> {
     ) {
         let place = batch.places[lane];
         let (pixel, row) = (place.pixel, f64::from(place.row));
+        self.segments.reserve(batch.count_of(lane));
         for i in 0..batch.count_of(lane) {
             let e = &edges[batch.edge(i, lane)];
             if N == 1 && !e.is_steep() {
                 let (p, shown) = (batch.piece(i, lane), solved.pieces[i].first[lane]);
                 if shown != 0.0 {
-                    let (u, v) = (shown * (p.y1 - p.y0), shown * (p.x0 - p.x1));
                     let middle = 0.5 * (p.x0 + p.x1) + f64::from(place.column);
-                    let middle = (middle - e.x0) / (e.x1 - e.x0);
-                    self.segments.push(Segment { pixel, from: e.from, to: e.to, u, v, middle });
+                    self.segments.push(Segment::level(e, pixel, shown * (p.x0 - p.x1), middle));
                 }
                 continue;
             }
-            for k in 0..PARTS.min(N) {
-                let height = solved.pieces[i].heights[k][lane];
-                if height != 0.0 {
-                    let middle = solved.pieces[i].middles[k][lane];
-                    self.segments.push(Segment::steep(e, pixel, row, height, middle));
-                }
+            let (height, moment) = (solved.pieces[i].height[lane], solved.pieces[i].moment[lane]);
+            if (height != 0.0) | (moment != 0.0) {
+                self.segments.push(Segment::steep(e, pixel, height, moment + height * row));
             }
         }
     }
 }
 
 impl Segment {
-    /// A stretch of a steep edge in a pixel.
+    /// Stretches of a steep edge in a pixel: the sum of their heights, and that weighted with the
+    /// rows where they are.
     #[inline(always)]
-    fn steep(e: &NetEdge, pixel: u32, row: f64, height: f64, middle: f64) -> Self {
-        Self {
-            pixel,
-            from: e.from,
-            to: e.to,
-            u: height,
-            v: -e.slope * height,
-            middle: (middle + row - e.y0) / (e.y1 - e.y0),
-        }
+    fn steep(e: &NetEdge, pixel: u32, height: f64, moment: f64) -> Self {
+        let moment = (moment - height * e.y0) / (e.y1 - e.y0);
+        let NetEdge { from, to, slope, .. } = *e;
+        Self { pixel, from, to, level: false, length: height, moment, slope }
+    }
+
+    /// A stretch of another edge: its width, and the column of its middle.
+    #[inline(always)]
+    fn level(e: &NetEdge, pixel: u32, width: f64, middle: f64) -> Self {
+        let whole = e.x1 - e.x0;
+        let (slope, moment) = ((e.y1 - e.y0) / whole, width * ((middle - e.x0) / whole));
+        Self { pixel, from: e.from, to: e.to, level: true, length: width, moment, slope }
     }
 }
 
 /// Results of the sweep down.
 struct Down<'a> {
     edges: &'a [NetEdge],
-    segments: Option<&'a mut Vec<Segment>>,
+    segments: Option<&'a mut Segments>,
     pixel: u32,
     row: f64,
     area: f64,
@@ -171,7 +171,7 @@ impl Sink for Down<'_> {
         if let Some(segments) = &mut self.segments
             && e.is_steep()
         {
-            segments.push(Segment::steep(e, self.pixel, self.row, height, middle));
+            segments.push(Segment::steep(e, self.pixel, height, height * (middle + self.row)));
         }
     }
 }
@@ -179,7 +179,7 @@ impl Sink for Down<'_> {
 /// Results of the sweep to the right: its right-hand side is below.
 struct Right<'a> {
     edges: &'a [NetEdge],
-    segments: &'a mut Vec<Segment>,
+    segments: &'a mut Segments,
     pixel: u32,
     column: f64,
 }
@@ -191,15 +191,7 @@ impl Sink for Right<'_> {
     fn edge(&mut self, edge: u32, width: f64, middle: f64) {
         let e = &self.edges[edge as usize];
         if !e.is_steep() {
-            let whole = 1.0 / (e.x1 - e.x0);
-            self.segments.push(Segment {
-                pixel: self.pixel,
-                from: e.from,
-                to: e.to,
-                u: -(e.y1 - e.y0) * whole * width,
-                v: width,
-                middle: (middle + self.column - e.x0) * whole,
-            });
+            self.segments.push(Segment::level(e, self.pixel, width, middle + self.column));
         }
     }
 }

@@ -68,6 +68,9 @@ pub(super) fn draw<R: Real, T: Pixel>(
     Image::with::<R, _>(profile, (model, screen), size, None, |image| {
         let kept = traced && image.is_none_or(|image| image.whole.tiles() <= MOST_KEPT);
         let mut product = kept.then(|| R::spare().take());
+        if let Some(product) = &mut product {
+            product.clear();
+        }
         let Some(image) = image else {
             background.fill_together(out, T::default());
             return product;
