@@ -145,16 +145,18 @@ impl Columns {
     }
 
     /// The row is complete: write what is covered and what is not, list what is left to do, and
-    /// begin the next row. How many places the pieces take. `out` is the row, or empty.
+    /// begin the next row. The place behind those of the pieces, from `free` on. `out` is the row,
+    /// or empty.
     #[inline(always)]
     pub(super) fn scan<T: Pixel>(
         &mut self,
+        free: u32,
         told_apart: bool,
         out: &mut [T],
         todo: &mut Vec<Todo>,
     ) -> u32 {
         std::mem::swap(&mut self.upper, &mut self.lower);
-        let total = self.add_up();
+        let end = self.add_up(free);
         todo.clear();
         let mut chunk = 0;
         while chunk < self.touched.len() {
@@ -174,7 +176,7 @@ impl Columns {
                 out[first..self.column_of(chunk)].fill(value);
             }
         }
-        total
+        end
     }
 
     /// The first column of a chunk on the canvas; its width, of those that are right of it.
@@ -196,8 +198,8 @@ impl Columns {
     /// Add up layers and places. A loop of its own: what it writes one by one is on its way to
     /// memory until it is read as a register.
     #[inline(always)]
-    fn add_up(&mut self) -> u32 {
-        let (mut layers, mut total) = (0, 0);
+    fn add_up(&mut self, free: u32) -> u32 {
+        let (mut layers, mut free) = (0, free);
         let mut chunk = 0;
         while chunk < self.touched.len() {
             let base = chunk * CHUNK;
@@ -218,11 +220,11 @@ impl Columns {
             for l in 0..CHUNK {
                 layers += change[l];
                 lower[l] = layers;
-                place[l] = total;
-                total += count[l];
+                place[l] = free;
+                free += count[l];
             }
         }
-        total
+        free
     }
 
     #[inline(always)]

@@ -21,13 +21,44 @@ pub(super) struct Rows {
     live: Vec<u32>,
     groups: Vec<Group>,
     columns: Columns,
-    /// The pieces of a row, and one place for those that are none.
+    /// The pieces of some rows, and one place for those that are none.
     pieces: Vec<Piece>,
     todo: Vec<Todo>,
+    /// The pixels to solve of these rows, those of each [`class`] in a list of its own.
+    waiting: [Vec<Waiting>; CLASSES],
     /// Made when it is first needed: buffers are taken from their thread and put back, and this
     /// one is too large to be copied.
     batches: Option<Box<Batches>>,
 }
+
+/// A pixel to solve, and its pieces.
+#[derive(Debug, Clone, Copy)]
+struct Waiting {
+    place: Place,
+    first: u32,
+    count: u32,
+}
+
+/// So many pieces are laid, about, before pixels are solved, those with equally many one after the
+/// other: nothing foretells how many the next pixel of a row has.
+const PIECES: u32 = 4096;
+
+/// Pixels by the size of their batch; those of the last class are solved one by one.
+const CLASSES: usize = 9;
+
+/// The class of a pixel with so many pieces.
+#[inline(always)]
+fn class(pieces: u32) -> usize {
+    match pieces {
+        0..=6 => pieces.saturating_sub(1) as usize,
+        7 | 8 => 6,
+        9..=MOST => 7,
+        _ => 8,
+    }
+}
+
+/// The most pieces of a pixel in a batch.
+const MOST: u32 = lanes::MOST as u32;
 
 /// Pixels that wait for others with the same number of pieces.
 #[derive(Debug, Default)]
@@ -107,6 +138,7 @@ impl Rows {
         }
         self.columns.start();
         let mut batches = self.batches.take().unwrap_or_default();
+        let mut free = 0;
         for row in first..last {
             let top = row as f64;
             self.continue_to(edges, row - first, top);
@@ -133,26 +165,32 @@ impl Rows {
             }
             let line = if AREAS { target.line(row, extent) } else { &mut [] };
             let told_apart = steps <= MOST_STEPS;
-            let total = self.columns.scan(told_apart, line, &mut self.todo) as usize;
+            let end = self.columns.scan(free, told_apart, line, &mut self.todo);
             if self.todo.is_empty() {
                 continue;
             }
-            if self.pieces.len() <= total {
-                self.pieces.resize(total + 1, Piece::default());
+            let none = end as usize;
+            if self.pieces.len() <= none {
+                self.pieces.resize(none + 1, Piece::default());
             }
             for group in &*groups {
                 for l in 0..group.count {
-                    lay(&mut self.columns, &mut self.pieces[..=total], group, l);
+                    lay(&mut self.columns, &mut self.pieces[..=none], group, l);
                 }
             }
             for &Todo { column, first, count, layers } in &self.todo {
                 let column = begin + column as usize;
                 let pixel = target.pixel(row, column);
                 let place = Place { pixel, row: row as u32, column: column as u32, layers };
-                let pieces = &self.pieces[first as usize..(first + count) as usize];
-                batches.take::<T, AREAS, TRACED>(edges, place, pieces, target);
+                self.waiting[class(count)].push(Waiting { place, first, count });
+            }
+            free = end;
+            if free > PIECES {
+                batches.take::<T, AREAS, TRACED>(edges, &mut self.waiting, &self.pieces, target);
+                free = 0;
             }
         }
+        batches.take::<T, AREAS, TRACED>(edges, &mut self.waiting, &self.pieces, target);
         if AREAS {
             target.complete();
         }
@@ -216,29 +254,27 @@ fn lay(columns: &mut Columns, pieces: &mut [Piece], group: &Group, l: usize) {
 }
 
 impl Batches {
+    /// Take all that wait.
     #[inline(always)]
     fn take<T: Pixel, const AREAS: bool, const TRACED: bool>(
         &mut self,
         edges: &[NetEdge],
-        place: Place,
+        waiting: &mut [Vec<Waiting>; CLASSES],
         pieces: &[Piece],
         target: &mut Target<'_, T>,
     ) {
-        let solved = &mut self.solved;
-        match pieces.len() {
-            1 => put::<T, _, AREAS, TRACED>(&mut self.one, solved, edges, place, pieces, target),
-            2 => put::<T, _, AREAS, TRACED>(&mut self.two, solved, edges, place, pieces, target),
-            3 => put::<T, _, AREAS, TRACED>(&mut self.three, solved, edges, place, pieces, target),
-            4 => put::<T, _, AREAS, TRACED>(&mut self.four, solved, edges, place, pieces, target),
-            5 => put::<T, _, AREAS, TRACED>(&mut self.five, solved, edges, place, pieces, target),
-            6 => put::<T, _, AREAS, TRACED>(&mut self.six, solved, edges, place, pieces, target),
-            7 | 8 => {
-                put::<T, _, AREAS, TRACED>(&mut self.eight, solved, edges, place, pieces, target);
-            }
-            9..=lanes::MOST => {
-                put::<T, _, AREAS, TRACED>(&mut self.sixteen, solved, edges, place, pieces, target);
-            }
-            _ => target.solve::<AREAS, TRACED>(edges, place, pieces),
+        let [one, two, three, four, five, six, eight, sixteen, more] = waiting;
+        let (s, from) = (&mut self.solved, (edges, pieces));
+        put::<T, _, AREAS, TRACED>(&mut self.one, s, from, one, target);
+        put::<T, _, AREAS, TRACED>(&mut self.two, s, from, two, target);
+        put::<T, _, AREAS, TRACED>(&mut self.three, s, from, three, target);
+        put::<T, _, AREAS, TRACED>(&mut self.four, s, from, four, target);
+        put::<T, _, AREAS, TRACED>(&mut self.five, s, from, five, target);
+        put::<T, _, AREAS, TRACED>(&mut self.six, s, from, six, target);
+        put::<T, _, AREAS, TRACED>(&mut self.eight, s, from, eight, target);
+        put::<T, _, AREAS, TRACED>(&mut self.sixteen, s, from, sixteen, target);
+        for w in more.drain(..) {
+            target.solve::<AREAS, TRACED>(edges, w.place, w.of(pieces));
         }
     }
 
@@ -260,18 +296,26 @@ impl Batches {
     }
 }
 
-/// Add a pixel to its batch, and solve that if it is full.
+impl Waiting {
+    #[inline(always)]
+    fn of<'a>(&self, pieces: &'a [Piece]) -> &'a [Piece] {
+        &pieces[self.first as usize..(self.first + self.count) as usize]
+    }
+}
+
+/// Add pixels to their batch, and solve that whenever it is full.
 #[inline(always)]
 fn put<T: Pixel, const N: usize, const AREAS: bool, const TRACED: bool>(
     batch: &mut Batch<N>,
     solved: &mut Solved,
-    edges: &[NetEdge],
-    place: Place,
-    pieces: &[Piece],
+    (edges, pieces): (&[NetEdge], &[Piece]),
+    waiting: &mut Vec<Waiting>,
     target: &mut Target<'_, T>,
 ) {
-    if batch.push(place, pieces) {
-        finish::<T, N, AREAS, TRACED>(batch, solved, edges, target);
+    for w in waiting.drain(..) {
+        if batch.push(w.place, w.of(pieces)) {
+            finish::<T, N, AREAS, TRACED>(batch, solved, edges, target);
+        }
     }
 }
 
