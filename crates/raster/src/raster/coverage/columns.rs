@@ -7,6 +7,8 @@
 //! can spread.
 
 use super::super::Pixel;
+use super::lanes::Place;
+use super::waiting::{Lists, Waiting, list_of};
 
 /// Columns that are looked at together.
 const CHUNK: usize = 16;
@@ -14,17 +16,6 @@ const CHUNK: usize = 16;
 /// Where column 0 is in the arrays: the one before it, which stands for all that is on the left of
 /// the canvas, has a place too.
 const SHIFT: i32 = CHUNK as i32;
-
-/// A pixel to solve.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Todo {
-    pub(super) column: u32,
-    /// Its pieces, by their places.
-    pub(super) first: u32,
-    pub(super) count: u32,
-    /// Layers at the upper left corner.
-    pub(super) layers: i32,
-}
 
 /// A row of columns.
 #[derive(Debug, Default)]
@@ -145,27 +136,27 @@ impl Columns {
     }
 
     /// The row is complete: write what is covered and what is not, list what is left to do, and
-    /// begin the next row. The place behind those of the pieces, from `free` on. `out` is the row,
-    /// or empty.
+    /// begin the next row. The place behind those of the pieces, from `free` on, and whether
+    /// anything is left. `start` is the place of column 0, `out` the row, or empty.
     #[inline(always)]
     pub(super) fn scan<T: Pixel>(
         &mut self,
         free: u32,
         told_apart: bool,
+        start: Place,
         out: &mut [T],
-        todo: &mut Vec<Todo>,
-    ) -> u32 {
+        lists: &mut Lists,
+    ) -> (u32, bool) {
         std::mem::swap(&mut self.upper, &mut self.lower);
         let end = self.add_up(free);
-        todo.clear();
-        let mut chunk = 0;
+        let (mut chunk, mut left) = (0, false);
         while chunk < self.touched.len() {
             // The columns of the chunks on the canvas.
             let first = self.column_of(chunk);
             if std::mem::take(&mut self.touched[chunk]) {
                 let next = self.column_of(chunk + 1);
                 let line = if out.is_empty() { &mut [][..] } else { &mut out[first..next] };
-                self.scan_chunk(chunk, told_apart, first, next - first, line, todo);
+                left |= self.scan_chunk(chunk, told_apart, (start, first, next), line, lists);
                 chunk += 1;
                 continue;
             }
@@ -176,7 +167,7 @@ impl Columns {
                 out[first..self.column_of(chunk)].fill(value);
             }
         }
-        end
+        (end, left)
     }
 
     /// The first column of a chunk on the canvas; its width, of those that are right of it.
@@ -232,13 +223,12 @@ impl Columns {
         &mut self,
         chunk: usize,
         told_apart: bool,
-        first: usize,
-        inside: usize,
+        (start, first, next): (Place, usize, usize),
         line: &mut [T],
-        todo: &mut Vec<Todo>,
-    ) {
+        lists: &mut Lists,
+    ) -> bool {
         let base = chunk * CHUNK;
-        let (Some(change), Some(count), Some(taken), Some(upper), Some(lower), Some(place)) = (
+        let (Some(change), Some(count), Some(taken), Some(upper), Some(lower), Some(places)) = (
             self.change[base..].first_chunk::<{ CHUNK + 1 }>(),
             self.count[base..].first_chunk::<CHUNK>(),
             self.taken[base..].first_chunk::<CHUNK>(),
@@ -246,7 +236,7 @@ impl Columns {
             self.lower[base..].first_chunk::<CHUNK>(),
             self.place[base..].first_chunk::<CHUNK>(),
         ) else {
-            return;
+            return false;
         };
         let mut least = [0_i32; CHUNK];
         for l in 0..CHUNK {
@@ -274,16 +264,19 @@ impl Columns {
         for l in 0..CHUNK {
             bits |= u32::from((count[l] > 0) & (least[l] <= 0)) << l;
         }
-        bits &= (1 << inside) - 1;
+        bits &= (1 << (next - first)) - 1;
+        let left = bits != 0;
         while bits != 0 {
             let l = bits.trailing_zeros() as usize % CHUNK;
             bits &= bits - 1;
-            let column = (first + l) as u32;
-            todo.push(Todo { column, first: place[l], count: count[l], layers: upper[l] });
+            let place = start.right((first + l) as u32, upper[l]);
+            let waiting = Waiting { place, first: places[l], count: count[l] };
+            list_of(lists, count[l]).push(waiting);
         }
         self.change[base..base + CHUNK].fill(0);
         self.count[base..base + CHUNK].fill(0);
         self.taken[base..base + CHUNK].fill(0);
+        left
     }
 
     /// A place for the next piece of a column.

@@ -27,6 +27,15 @@ pub(super) struct Place {
     pub(super) layers: i32,
 }
 
+impl Place {
+    /// So many columns to the right.
+    #[inline(always)]
+    pub(super) fn right(self, columns: u32, layers: i32) -> Self {
+        let Self { pixel, row, column, .. } = self;
+        Self { pixel: pixel + columns, row, column: column + columns, layers }
+    }
+}
+
 /// Up to eight pixels of up to `N` pieces.
 #[derive(Debug, Clone)]
 pub(super) struct Batch<const N: usize> {

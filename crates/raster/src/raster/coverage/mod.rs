@@ -29,6 +29,7 @@ mod rows;
 mod solver;
 mod target;
 mod trace;
+mod waiting;
 
 use std::cell::RefCell;
 use std::thread::LocalKey;

@@ -7,11 +7,12 @@ use super::super::order::RowOrder;
 use super::super::outline::{Extent, NetEdge};
 use super::cell::Piece;
 use super::columns::{
-    Columns, LEFT_FIRST, LEFT_ON, MOST_STEPS, NOT_AT_ALL, RIGHT_FIRST, RIGHT_LAST, RIGHT_ON, Todo,
+    Columns, LEFT_FIRST, LEFT_ON, MOST_STEPS, NOT_AT_ALL, RIGHT_FIRST, RIGHT_LAST, RIGHT_ON,
 };
 use super::lanes::{self, Batch, Place, Solved};
 use super::parts::{self, Group};
 use super::target::Target;
+use super::waiting::{Lists, Waiting};
 
 /// Buffers of a walk.
 #[derive(Debug, Default)]
@@ -23,42 +24,16 @@ pub(super) struct Rows {
     columns: Columns,
     /// The pieces of some rows, and one place for those that are none.
     pieces: Vec<Piece>,
-    todo: Vec<Todo>,
-    /// The pixels to solve of these rows, those of each [`class`] in a list of its own.
-    waiting: [Vec<Waiting>; CLASSES],
+    /// The pixels to solve of these rows.
+    waiting: Lists,
     /// Made when it is first needed: buffers are taken from their thread and put back, and this
     /// one is too large to be copied.
     batches: Option<Box<Batches>>,
 }
 
-/// A pixel to solve, and its pieces.
-#[derive(Debug, Clone, Copy)]
-struct Waiting {
-    place: Place,
-    first: u32,
-    count: u32,
-}
-
 /// So many pieces are laid, about, before pixels are solved, those with equally many one after the
 /// other: nothing foretells how many the next pixel of a row has.
 const PIECES: u32 = 4096;
-
-/// Pixels by the size of their batch; those of the last class are solved one by one.
-const CLASSES: usize = 9;
-
-/// The class of a pixel with so many pieces.
-#[inline(always)]
-fn class(pieces: u32) -> usize {
-    match pieces {
-        0..=6 => pieces.saturating_sub(1) as usize,
-        7 | 8 => 6,
-        9..=MOST => 7,
-        _ => 8,
-    }
-}
-
-/// The most pieces of a pixel in a batch.
-const MOST: u32 = lanes::MOST as u32;
 
 /// Pixels that wait for others with the same number of pieces.
 #[derive(Debug, Default)]
@@ -163,10 +138,12 @@ impl Rows {
                     enter(&mut self.columns, group, l);
                 }
             }
+            let (pixel, column) = (target.pixel(row, begin), begin as u32);
+            let start = Place { pixel, row: row as u32, column, layers: 0 };
             let line = if AREAS { target.line(row, extent) } else { &mut [] };
             let told_apart = steps <= MOST_STEPS;
-            let end = self.columns.scan(free, told_apart, line, &mut self.todo);
-            if self.todo.is_empty() {
+            let (end, left) = self.columns.scan(free, told_apart, start, line, &mut self.waiting);
+            if !left {
                 continue;
             }
             let none = end as usize;
@@ -177,12 +154,6 @@ impl Rows {
                 for l in 0..group.count {
                     lay(&mut self.columns, &mut self.pieces[..=none], group, l);
                 }
-            }
-            for &Todo { column, first, count, layers } in &self.todo {
-                let column = begin + column as usize;
-                let pixel = target.pixel(row, column);
-                let place = Place { pixel, row: row as u32, column: column as u32, layers };
-                self.waiting[class(count)].push(Waiting { place, first, count });
             }
             free = end;
             if free > PIECES {
@@ -259,7 +230,7 @@ impl Batches {
     fn take<T: Pixel, const AREAS: bool, const TRACED: bool>(
         &mut self,
         edges: &[NetEdge],
-        waiting: &mut [Vec<Waiting>; CLASSES],
+        waiting: &mut Lists,
         pieces: &[Piece],
         target: &mut Target<'_, T>,
     ) {
@@ -293,13 +264,6 @@ impl Batches {
         finish::<T, _, AREAS, TRACED>(&mut self.six, solved, edges, target);
         finish::<T, _, AREAS, TRACED>(&mut self.eight, solved, edges, target);
         finish::<T, _, AREAS, TRACED>(&mut self.sixteen, solved, edges, target);
-    }
-}
-
-impl Waiting {
-    #[inline(always)]
-    fn of<'a>(&self, pieces: &'a [Piece]) -> &'a [Piece] {
-        &pieces[self.first as usize..(self.first + self.count) as usize]
     }
 }
 
