@@ -5,10 +5,18 @@
 //! high. A triangle without area is a segment or a point. Both windings count.
 //!
 //! Without cut-offs the mask is exact (see `soft`) and so is its gradient. With [`KaolinCutoff`]
-//! it is that of Kaolin 0.1: see `soft::kaolin`. Masks with cut-offs are computed in `f64`.
+//! it is that of Kaolin 0.1: see `soft::kaolin`.
 
-use super::soft::{Profile, kaolin};
+use super::soft::Profile;
 use super::{Background, KaolinCutoff, Model, Pixel, Screen, Size};
+
+/// What is drawn.
+pub(super) fn profile(delta: f64, cutoff: Option<KaolinCutoff>) -> Profile {
+    match cutoff {
+        Some(cutoff) => Profile::Kaolin(delta, cutoff),
+        None => Profile::Dibr(delta),
+    }
+}
 
 /// Draw the mask `(H, W)`; every pixel of `out` is written.
 pub fn draw<T: Pixel>(
@@ -19,12 +27,7 @@ pub fn draw<T: Pixel>(
     cutoff: Option<KaolinCutoff>,
     out: &mut [T],
 ) {
-    if let Some(cutoff) = cutoff {
-        kaolin::draw(model, screen, size, delta, cutoff, out);
-    } else {
-        let out = (out, Background::Near);
-        drop(Profile::Dibr(delta).draw(model, screen, size, out, false));
-    }
+    drop(profile(delta, cutoff).draw(model, screen, size, (out, Background::Near), false));
 }
 
 /// Add the gradient of `sum(upstream * mask)` for image points (pixels) to `du` and `dv`.
@@ -39,8 +42,5 @@ pub fn back<T: Pixel>(
     du: &mut [f64],
     dv: &mut [f64],
 ) {
-    match cutoff {
-        Some(cutoff) => kaolin::back(model, screen, size, delta, cutoff, upstream, [du, dv]),
-        None => Profile::Dibr(delta).back(None, model, screen, size, upstream, [du, dv]),
-    }
+    profile(delta, cutoff).back(None, model, screen, size, upstream, [du, dv]);
 }

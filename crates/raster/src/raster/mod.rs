@@ -215,14 +215,13 @@ impl Mode {
                 return coverage::draw_traced(model, screen, size, sigma, out, traced)
                     .map(Trace::Outline);
             }
-            Self::Dibr { delta, cutoff: None } => {
-                return soft::Profile::Dibr(delta).draw(model, screen, size, out, traced);
+            Self::Dibr { delta, cutoff } => {
+                return dibr::profile(delta, cutoff).draw(model, screen, size, out, traced);
             }
             Self::Sigmoid { sigma, cutoff: None } => {
                 return soft::Profile::Sigmoid(sigma).draw(model, screen, size, out, traced);
             }
             Self::Hard => hard::draw_over(model, screen, size, out),
-            Self::Dibr { delta, cutoff } => dibr::draw(model, screen, size, delta, cutoff, out.0),
             Self::Sigmoid { sigma, cutoff } => {
                 sigmoid::draw(model, screen, size, sigma, cutoff, out.0);
             }
@@ -248,8 +247,9 @@ impl Mode {
                 coverage::back_of(outline, model, screen, size, sigma, upstream, [du, dv]);
             }
             Self::Hard => {} // piecewise constant
-            Self::Dibr { delta, cutoff: None } => {
-                soft::Profile::Dibr(delta).back(product, model, screen, size, upstream, [du, dv]);
+            Self::Dibr { delta, cutoff } => {
+                let profile = dibr::profile(delta, cutoff);
+                profile.back(product, model, screen, size, upstream, [du, dv]);
             }
             Self::Sigmoid { sigma, cutoff: None } => {
                 soft::Profile::Sigmoid(sigma).back(
@@ -260,9 +260,6 @@ impl Mode {
                     upstream,
                     [du, dv],
                 );
-            }
-            Self::Dibr { delta, cutoff } => {
-                dibr::back(model, screen, size, delta, cutoff, upstream, du, dv);
             }
             Self::Sigmoid { sigma, cutoff } => {
                 sigmoid::back(model, screen, size, sigma, cutoff, upstream, du, dv);

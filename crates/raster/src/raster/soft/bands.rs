@@ -8,6 +8,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::faces::Source;
+use super::kaolin::{self, Boxes};
 use super::real::{LANES, Real};
 use super::tiles::{Rectangle, Run, SIDE, Tiles, Units};
 use super::{Profile, kernel};
@@ -53,7 +54,7 @@ struct Image<'a> {
     whole: Rectangle,
     /// Rows of tiles in a band.
     rows: usize,
-    /// What DIB-R covers.
+    /// What is covered.
     runs: &'a [Run],
 }
 
@@ -140,6 +141,9 @@ pub(super) fn back<R: Real, T: Pixel>(
                 tiles.mark(R::ZERO);
                 match profile {
                     Profile::Dibr(_) => kernel::back::<R, false>(source, tiles, scale, du, dv),
+                    Profile::Kaolin(_, cutoff) => {
+                        kaolin::back(Boxes::new(source, size, cutoff), tiles, scale, du, dv);
+                    }
                     Profile::Sigmoid(_) => kernel::back::<R, true>(source, tiles, scale, du, dv),
                 }
             });
@@ -162,18 +166,22 @@ impl Image<'_> {
         kept: Option<usize>,
         work: impl FnOnce(Option<&Image<'_>>) -> O,
     ) -> O {
-        let units = Units::new(size, profile.scale(size), R::REACH);
+        let units = Units::new(size, profile.scale(size), profile.reach::<R>());
         let whole = super::bounds(model, screen)
             .and_then(|(low, high)| Rectangle::around(size, &units, low, high));
         let Some(whole) = whole else { return work(None) };
         // Taken out meanwhile: a thread that waits for bands may be given another image.
         let mut runs = RUNS.take();
         runs.clear();
-        if matches!(profile, Profile::Dibr(_)) && kept != Some(whole.tiles()) {
-            hard::runs(model, screen, size, |row, columns| {
-                let [row, from, to] = [row, columns.start, columns.end].map(|n| n as u32);
-                runs.push(Run { row, from, to });
-            });
+        if kept != Some(whole.tiles()) {
+            match profile {
+                Profile::Dibr(_) => hard::runs(model, screen, size, |row, columns| {
+                    let [row, from, to] = [row, columns.start, columns.end].map(|n| n as u32);
+                    runs.push(Run { row, from, to });
+                }),
+                Profile::Kaolin(..) => kaolin::cover(model, screen, size, &mut runs),
+                Profile::Sigmoid(_) => {}
+            }
         }
         let rows = if whole.tiles() > LARGE { BAND } else { whole.count[1] };
         let faces = screen.faces(model);
@@ -217,6 +225,11 @@ impl Image<'_> {
                 tiles.cover(self.runs, self.size);
                 tiles.mark(R::ZERO);
                 kernel::draw::<R, false>(source, tiles);
+            }
+            Profile::Kaolin(_, cutoff) => {
+                tiles.cover(self.runs, self.size);
+                tiles.mark(R::ZERO);
+                kaolin::draw(Boxes::new(source, self.size, cutoff), tiles);
             }
             Profile::Sigmoid(_) => {
                 tiles.mark(R::ZERO);

@@ -8,7 +8,7 @@ use super::tiles::Tiles;
 
 /// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
 /// `mul_add` is a library call.
-const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
+pub(super) const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
 
 /// Multiply the values of the tiles in use by what each face leaves uncovered: `1 - p`.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
@@ -114,7 +114,7 @@ fn measure<R: Real, const FMA: bool>(
 }
 
 #[inline(always)]
-fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
+pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     lane: usize,
     [x, y]: [&[R; LANES]; 2],
@@ -243,7 +243,7 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
 }
 
 #[inline(always)]
-fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
+pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     lane: usize,
     [x, y]: [&[R; LANES]; 2],
@@ -316,19 +316,19 @@ fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
 }
 
 /// [`Sums`] of the faces of a block, over the pixels: the lanes are the faces.
-struct BlockSums<R> {
+pub(super) struct BlockSums<R> {
     sums: Sums<R>,
     any: [bool; LANES],
 }
 
 impl<R: Real> BlockSums<R> {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self { sums: [[[R::ZERO; LANES]; 4]; 3], any: [false; LANES] }
     }
 
     /// Sums over the pixels, in a fixed order.
     #[inline(always)]
-    fn set(&mut self, lane: usize, any: bool, sums: &Sums<R>) {
+    pub(super) fn set(&mut self, lane: usize, any: bool, sums: &Sums<R>) {
         self.any[lane] = any;
         if !any {
             return;
@@ -398,7 +398,7 @@ mod avx512 {
 /// derivative of the squared distance is `2 (1 - s)(q - pixel)` for `a` and `2 s (q - pixel)` for
 /// `b` (envelope theorem).
 #[inline(always)]
-fn scatter<R: Real>(
+pub(super) fn scatter<R: Real>(
     source: &Source<'_>,
     block: &Block<R>,
     [first, count]: [usize; 2],

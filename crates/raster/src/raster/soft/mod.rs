@@ -25,13 +25,14 @@
 
 #![expect(
     clippy::inline_always,
+    clippy::needless_bitwise_bool,
     clippy::needless_range_loop,
     reason = "lanes: a function that is not inlined loses the instruction set of its caller"
 )]
 
 mod bands;
 mod faces;
-pub(super) mod kaolin;
+mod kaolin;
 mod kernel;
 mod nearest;
 pub(super) mod pytorch3d;
@@ -44,7 +45,7 @@ use self::bands::Product;
 use self::real::Real;
 use self::tiles::Units;
 use super::trace::Trace;
-use super::{Background, Mode, Model, Pixel, Screen, Size};
+use super::{Background, KaolinCutoff, Mode, Model, Pixel, Screen, Size};
 
 /// The product that a mask is made of, for its gradient.
 #[derive(Debug, Clone)]
@@ -79,6 +80,7 @@ impl Kept {
     pub(super) fn is_of(&self, model: &Model, size: Size, mode: Mode) -> bool {
         let profile = match mode {
             Mode::Dibr { delta, cutoff: None } => Profile::Dibr(delta),
+            Mode::Dibr { delta, cutoff: Some(cutoff) } => Profile::Kaolin(delta, cutoff),
             Mode::Sigmoid { sigma, cutoff: None } => Profile::Sigmoid(sigma),
             _ => return false,
         };
@@ -86,11 +88,13 @@ impl Kept {
     }
 }
 
-/// The exact soft masks.
+/// Masks that are drawn in tiles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Profile {
     /// DIB-R with this `delta`.
     Dibr(f64),
+    /// The same as Kaolin has it.
+    Kaolin(f64, KaolinCutoff),
     /// `SoftRas` with this `sigma`.
     Sigmoid(f64),
 }
@@ -103,8 +107,18 @@ impl Profile {
     fn scale(self, size: Size) -> [f64; 2] {
         let sides = [size.width, size.height].map(|side| side as f64);
         match self {
-            Self::Dibr(delta) => sides.map(|side| 2.0 / side * delta.sqrt()),
+            Self::Dibr(delta) | Self::Kaolin(delta, _) => {
+                sides.map(|side| 2.0 / side * delta.sqrt())
+            }
             Self::Sigmoid(sigma) => [2.0 / (sides[0].min(sides[1]) * sigma.sqrt()); 2],
+        }
+    }
+
+    /// How far a face reaches at least, as an exponent.
+    fn reach<R: Real>(self) -> f64 {
+        match self {
+            Self::Kaolin(delta, cutoff) => R::REACH.max(cutoff.boxlen.powi(2) * delta),
+            _ => R::REACH,
         }
     }
 

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use super::kaolin::Met;
 use super::real::{LANES, Real};
 use crate::raster::{Background, Pixel, Size};
 
@@ -100,6 +101,10 @@ pub(super) struct Tiles<R> {
     pub(super) rectangle: Rectangle,
     /// Row by row; pixels within a tile too.
     pub(super) values: Vec<[R; LANES]>,
+    /// Faces that the pixels have met, where these are counted.
+    pub(super) met: Vec<[i32; LANES]>,
+    /// Tiles of one face; empty between uses.
+    pub(super) list: Vec<Met>,
     /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
     bits: Vec<u8>,
     /// Pixel centres of the tiles of a column, in widths; and eight columns more.
@@ -113,6 +118,8 @@ impl<R: Real> Default for Tiles<R> {
         Self {
             rectangle: Rectangle::default(),
             values: Vec::new(),
+            met: Vec::new(),
+            list: Vec::new(),
             bits: Vec::new(),
             x: Vec::new(),
             y: Vec::new(),
@@ -147,6 +154,12 @@ impl<R: Real> Tiles<R> {
         self.values.clear();
         self.values.resize(self.rectangle.tiles(), [value; LANES]);
         self.blank(size);
+    }
+
+    /// No pixel has met any face.
+    pub(super) fn meet_nobody(&mut self) {
+        self.met.clear();
+        self.met.resize(self.values.len(), [0; LANES]);
     }
 
     /// Set the pixels outside of the image to 0.
