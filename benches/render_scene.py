@@ -14,6 +14,7 @@ from dronepose import Camera, Mesh, render
 Array = np.ndarray
 FOV_FOCAL = 252.72 / 240.0
 SIGMA_NDC = 1e-4
+KAOLIN = "dibr, Kaolin's cut-offs"
 
 
 def default_mesh() -> Path:
@@ -144,5 +145,6 @@ MODES: dict[str, dict[str, Any]] = {
     "coverage": {"mode": "coverage"},
     "coverage, sigma 1": {"mode": "coverage", "sigma": 1.0},
     "dibr": {"mode": "dibr"},
+    KAOLIN: {"mode": "dibr", "kaolin_cutoff": (0.02, 30)},
     "sigmoid": {"mode": "sigmoid", "sigma_ndc": SIGMA_NDC},
 }

@@ -179,7 +179,13 @@ impl Image<'_> {
                     let [row, from, to] = [row, columns.start, columns.end].map(|n| n as u32);
                     runs.push(Run { row, from, to });
                 }),
-                Profile::Kaolin(..) => kaolin::cover(model, screen, size, &mut runs),
+                Profile::Kaolin(..) => {
+                    kaolin::cover(model, screen, size, &mut runs);
+                    // Bands look for theirs; in one all rows are.
+                    if whole.tiles() > LARGE {
+                        runs.sort_unstable_by_key(|run| run.row);
+                    }
+                }
                 Profile::Sigmoid(_) => {}
             }
         }

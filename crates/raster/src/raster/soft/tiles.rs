@@ -178,7 +178,8 @@ impl<R: Real> Tiles<R> {
         }
     }
 
-    /// Set the pixels of runs, which are in the order of their rows, to 0.
+    /// Set the pixels of runs to 0. They are in the order of their rows, unless all are in those of
+    /// the tiles.
     pub(super) fn cover(&mut self, runs: &[Run], size: Size) {
         let [columns, rows] = self.rectangle.pixels(size);
         let count = self.rectangle.count[0];

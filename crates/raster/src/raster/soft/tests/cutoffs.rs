@@ -108,8 +108,10 @@ fn masks_with_cutoffs_are_those_of_their_description() {
         for knum in [1, 3, 30] {
             let (delta, cutoff) = (700.0, KaolinCutoff { boxlen: 0.1, knum });
             let mode = Mode::Dibr { delta, cutoff: Some(cutoff) };
-            let error = difference(&scene.draw::<f64>(mode), &kaolin(&scene, delta, cutoff));
-            assert!(error < 1e-11, "scene {k}, {cutoff:?}: {error}");
+            let expected = kaolin(&scene, delta, cutoff);
+            let double = difference(&scene.draw::<f64>(mode), &expected);
+            let single = difference(&scene.draw::<f32>(mode), &expected);
+            assert!(double < 1e-11 && single < 1e-5, "{k}, {cutoff:?}: {double}, {single}");
         }
         for faces_per_pixel in [1, 2, 50] {
             let (sigma, cutoff) = (1e-3, Pytorch3dCutoff { blur_radius: 7e-3, faces_per_pixel });
@@ -121,6 +123,20 @@ fn masks_with_cutoffs_are_those_of_their_description() {
             let error = difference(&scene.draw::<f64>(mode), &expected);
             assert!(error < 1e-3, "scene {k}, {cutoff:?}: {error}"); // 1e-8 is added to areas
         }
+    }
+}
+
+#[test]
+fn boxes_may_be_wider_than_the_blur_and_the_image_large() {
+    let size = Size { height: 330, width: 310 };
+    for (k, boxlen, knum) in [(1, 0.02, 2), (2, 0.3, 2), (3, 5.0, 9)] {
+        let (delta, cutoff) = (7000.0, KaolinCutoff { boxlen, knum });
+        let mode = Mode::Dibr { delta, cutoff: Some(cutoff) };
+        let scene = strip(k, size);
+        let expected = kaolin(&scene, delta, cutoff);
+        let double = difference(&scene.draw::<f64>(mode), &expected);
+        let single = difference(&scene.draw::<f32>(mode), &expected);
+        assert!(double < 1e-11 && single < 1e-5, "{cutoff:?}: {double}, {single}");
     }
 }
 
