@@ -51,6 +51,8 @@ struct Image<'a> {
     faces: &'a [[u32; 3]],
     size: Size,
     units: Units,
+    /// Rows that a face reaches beyond itself.
+    reach: f64,
     whole: Rectangle,
     /// Rows of tiles in a band.
     rows: usize,
@@ -166,9 +168,10 @@ impl Image<'_> {
         kept: Option<usize>,
         work: impl FnOnce(Option<&Image<'_>>) -> O,
     ) -> O {
-        let units = Units::new(size, profile.scale(size), profile.reach::<R>());
+        let units = Units::new(size, profile.scale(size), R::REACH);
+        let widest = Units::new(size, profile.scale(size), profile.reach::<R>());
         let whole = super::bounds(model, screen)
-            .and_then(|(low, high)| Rectangle::around(size, &units, low, high));
+            .and_then(|(low, high)| Rectangle::around(size, &widest, low, high));
         let Some(whole) = whole else { return work(None) };
         // Taken out meanwhile: a thread that waits for bands may be given another image.
         let mut runs = RUNS.take();
@@ -191,7 +194,8 @@ impl Image<'_> {
         }
         let rows = if whole.tiles() > LARGE { BAND } else { whole.count[1] };
         let faces = screen.faces(model);
-        let image = Image { profile, screen, faces, size, units, whole, rows, runs: &runs };
+        let reach = widest.reach_in_pixels(1);
+        let image = Image { profile, screen, faces, size, units, reach, whole, rows, runs: &runs };
         let out = work(Some(&image));
         RUNS.set(runs);
         out
@@ -209,9 +213,8 @@ impl Image<'_> {
             tiles.lay(&self.units, rectangle);
             let mut near = self.faces;
             if self.bands() > 1 {
-                let reach = self.units.reach_in_pixels(1);
-                let first = (SIDE * rectangle.first[1]) as f64 - reach;
-                let end = (SIDE * (rectangle.first[1] + rectangle.count[1])) as f64 + reach;
+                let first = (SIDE * rectangle.first[1]) as f64 - self.reach;
+                let end = (SIDE * (rectangle.first[1] + rectangle.count[1])) as f64 + self.reach;
                 faces.clear();
                 faces.extend(self.faces.iter().filter(|face| {
                     let [a, b, c] = face.map(|corner| v[corner as usize]);

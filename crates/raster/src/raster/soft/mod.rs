@@ -114,7 +114,7 @@ impl Profile {
         }
     }
 
-    /// How far a face reaches at least, as an exponent.
+    /// How far a face reaches or is counted, as an exponent.
     fn reach<R: Real>(self) -> f64 {
         match self {
             Self::Kaolin(delta, cutoff) => R::REACH.max(cutoff.boxlen.powi(2) * delta),
