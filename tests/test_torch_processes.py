@@ -15,11 +15,12 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 import torch_workers  # noqa: E402
 
 FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
+CORES_WARNING = "ignore:This DataLoader will create:UserWarning"  # where there is one core
 PATIENCE = 120  # seconds: a process that hangs fails, a machine that is busy does not
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.filterwarnings(FORK_WARNING, CORES_WARNING)
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_the_workers_of_a_data_loader_draw_what_their_parent_draws(method):
     data = torch_workers.Masks(6)
