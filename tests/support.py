@@ -12,6 +12,10 @@ ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
 SHARED = Path(os.environ.get("DRONEPOSE_SHARED", ROOT.parent / "shared"))
 
+# For ``pytest.mark.filterwarnings``.
+FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
+CORES_WARNING = "ignore:This DataLoader will create:UserWarning"  # where there is one core
+
 
 def command(name: str = "dronepose-eval") -> list[str]:
     """``dronepose-eval`` or ``dronepose`` of this Python, as a script if it is installed."""

@@ -5,6 +5,8 @@ import os
 import numpy as np
 import pytest
 
+from support import CORES_WARNING, FORK_WARNING
+
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 pytest.importorskip("lightning", reason="Lightning is not installed")
 pytest.importorskip("cv2", reason="OpenCV is not installed")
@@ -13,8 +15,6 @@ import data_workers  # noqa: E402
 from dronepose.data import FolderDataset, PoseDataModule, write_toyset  # noqa: E402
 from dronepose.data.module import EpochSampler, one_thread  # noqa: E402
 
-FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
-CORES_WARNING = "ignore:This DataLoader will create:UserWarning"  # where there is one core
 AUGMENTED = {"rotation_deg": 20.0, "scale": (0.9, 1.2), "shift": 0.1, "photometric": 1.0}
 
 

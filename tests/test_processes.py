@@ -10,11 +10,10 @@ import pytest
 import workers
 from dronepose import Mesh, Symmetries, _native
 from poses import HALF_TURN, near, random_mesh, random_poses
-from support import EXAMPLES
+from support import EXAMPLES, FORK_WARNING
 
 # Much longer than it takes: a process that hangs fails, a machine that is busy does not.
 PATIENCE = 300.0
-FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
 
 
 def in_child(method, *arguments):

@@ -9,13 +9,12 @@ import pytest
 import scenes
 from dronepose import Mesh, render
 from scenes import CAMERA, TETRAHEDRON
+from support import CORES_WARNING, FORK_WARNING
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 
 import torch_workers  # noqa: E402
 
-FORK_WARNING = "ignore:This process .* is multi-threaded:DeprecationWarning"
-CORES_WARNING = "ignore:This DataLoader will create:UserWarning"  # where there is one core
 PATIENCE = 120  # seconds: a process that hangs fails, a machine that is busy does not
 
 

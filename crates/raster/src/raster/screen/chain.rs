@@ -1,17 +1,10 @@
 //! From the gradient for image points to that for the pose and the camera, by the chain rule, with
 //! eight points side by side: the same sums in the same order on every instruction set.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::super::Model;
-use super::{Cut, Screen, View};
-
-thread_local! {
-    static ARCH: Arch = Arch::new();
-}
-
-/// Points side by side.
-const WIDE: usize = 8;
+use super::{ARCH, Cut, LANES, Screen, View};
 
 /// Sums over points: five of the camera, three of the translation, nine of the rotation.
 const SUMS: usize = 17;
@@ -138,15 +131,15 @@ struct Points<'a> {
 impl Points<'_> {
     /// Add the gradient for the view.
     fn pull_back(self, view: &View, out: &mut ViewGradient) {
-        let mut sums = [[0.0; WIDE]; SUMS];
+        let mut sums = [[0.0; LANES]; SUMS];
         ARCH.with(|arch| arch.dispatch(Wide { points: self, view, sums: &mut sums }));
         let count = self.gradient[0].len();
-        for k in count / WIDE * WIDE..count {
+        for k in count / LANES * LANES..count {
             let at = |axis: &[f64]| axis[k];
             let (gradient, camera) = (self.gradient.map(at), self.camera.map(at));
             let terms = terms(pulp::Scalar, view, gradient, camera, self.model.map(at));
             for (sum, term) in sums.iter_mut().zip(terms) {
-                sum[k % WIDE] += term;
+                sum[k % LANES] += term;
             }
         }
         let [fx, skew, cx, fy, cy, tx, ty, tz, rotation @ ..] =
@@ -189,7 +182,7 @@ fn terms<S: Simd>(
 struct Wide<'a> {
     points: Points<'a>,
     view: &'a View,
-    sums: &'a mut [[f64; WIDE]; SUMS],
+    sums: &'a mut [[f64; LANES]; SUMS],
 }
 
 impl WithSimd for Wide<'_> {
@@ -198,8 +191,8 @@ impl WithSimd for Wide<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, s: S) {
         let Self { points, view, sums } = self;
-        let parts = WIDE / S::F64_LANES;
-        let count = points.gradient[0].len() / WIDE * WIDE;
+        let parts = LANES / S::F64_LANES;
+        let count = points.gradient[0].len() / LANES * LANES;
         let ([gu, gv], [x, y, z], [a, b, c]) = (
             points.gradient.map(|axis| S::as_simd_f64s(&axis[..count]).0),
             points.camera.map(|axis| S::as_simd_f64s(&axis[..count]).0),
@@ -242,7 +235,7 @@ mod tests {
                 translation: [0.0; 3],
                 camera: Intrinsics { skew, ..Intrinsics::new(50.0, 60.0, 16.0, 12.0).expect("valid") },
             };
-            let (mut widest, mut scalar) = ([[0.0; WIDE]; SUMS], [[0.0; WIDE]; SUMS]);
+            let (mut widest, mut scalar) = ([[0.0; LANES]; SUMS], [[0.0; LANES]; SUMS]);
             ARCH.with(|arch| arch.dispatch(Wide { points, view: &view, sums: &mut widest }));
             pulp::Scalar.vectorize(Wide { points, view: &view, sums: &mut scalar });
             prop_assert_eq!(widest, scalar);

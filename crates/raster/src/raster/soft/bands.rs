@@ -56,7 +56,7 @@ struct Image<'a> {
     whole: Rectangle,
     /// Rows of tiles in a band.
     rows: usize,
-    /// What is covered.
+    /// What is covered: nothing of a sigmoid.
     runs: &'a [Run],
 }
 
@@ -229,21 +229,14 @@ impl Image<'_> {
     /// Leave `prod_f (1 - p_f)` in the tiles.
     fn multiply<R: Real>(&self, source: &Source<'_>, tiles: &mut Tiles<R>) {
         tiles.fill(self.size, R::ONE);
+        tiles.cover(self.runs, self.size);
+        tiles.mark(R::ZERO);
         match self.profile {
-            Profile::Dibr(_) => {
-                tiles.cover(self.runs, self.size);
-                tiles.mark(R::ZERO);
-                kernel::draw::<R, false>(source, tiles);
-            }
+            Profile::Dibr(_) => kernel::draw::<R, false>(source, tiles),
             Profile::Kaolin(_, cutoff) => {
-                tiles.cover(self.runs, self.size);
-                tiles.mark(R::ZERO);
                 kaolin::draw(Boxes::new(source, self.size, cutoff), tiles);
             }
-            Profile::Sigmoid(_) => {
-                tiles.mark(R::ZERO);
-                kernel::draw::<R, true>(source, tiles);
-            }
+            Profile::Sigmoid(_) => kernel::draw::<R, true>(source, tiles),
         }
     }
 

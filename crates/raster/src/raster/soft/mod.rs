@@ -45,7 +45,7 @@ use self::bands::Product;
 use self::real::Real;
 use self::tiles::Units;
 use super::trace::Trace;
-use super::{Background, KaolinCutoff, Mode, Model, Pixel, Screen, Size};
+use super::{Background, KaolinCutoff, Mode, Model, Pixel, Screen, Size, dibr};
 
 /// The product that a mask is made of, for its gradient.
 #[derive(Debug, Clone)]
@@ -79,8 +79,7 @@ impl Kept {
 
     pub(super) fn is_of(&self, model: &Model, size: Size, mode: Mode) -> bool {
         let profile = match mode {
-            Mode::Dibr { delta, cutoff: None } => Profile::Dibr(delta),
-            Mode::Dibr { delta, cutoff: Some(cutoff) } => Profile::Kaolin(delta, cutoff),
+            Mode::Dibr { delta, cutoff } => dibr::profile(delta, cutoff),
             Mode::Sigmoid { sigma, cutoff: None } => Profile::Sigmoid(sigma),
             _ => return false,
         };
