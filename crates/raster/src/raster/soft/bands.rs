@@ -8,7 +8,7 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::faces::Source;
-use super::kaolin::{self, Boxes};
+use super::kaolin::{self, Boxes, Points};
 use super::real::{LANES, Real};
 use super::tiles::{Rectangle, Run, SIDE, Tiles, Units};
 use super::{Profile, kernel};
@@ -39,6 +39,7 @@ impl<R: Real> Default for Scratch<R> {
 
 thread_local! {
     static RUNS: RefCell<Vec<Run>> = const { RefCell::new(Vec::new()) };
+    static POINTS: RefCell<Points> = RefCell::default();
 }
 
 /// The values of all tiles, for the gradient.
@@ -58,6 +59,8 @@ struct Image<'a> {
     rows: usize,
     /// What is covered: nothing of a sigmoid.
     runs: &'a [Run],
+    /// What Kaolin's boxes are decided by: empty elsewhere.
+    points: &'a Points,
 }
 
 /// Draw the mask; every pixel of `out` is written. With `traced`, its product, unless it is large.
@@ -144,7 +147,8 @@ pub(super) fn back<R: Real, T: Pixel>(
                 match profile {
                     Profile::Dibr(_) => kernel::back::<R, false>(source, tiles, scale, du, dv),
                     Profile::Kaolin(_, cutoff) => {
-                        kaolin::back(Boxes::new(source, size, cutoff), tiles, scale, du, dv);
+                        let boxes = Boxes::new(source, image.points, cutoff);
+                        kaolin::back(boxes, tiles, scale, du, dv);
                     }
                     Profile::Sigmoid(_) => kernel::back::<R, true>(source, tiles, scale, du, dv),
                 }
@@ -174,8 +178,11 @@ impl Image<'_> {
             .and_then(|(low, high)| Rectangle::around(size, &widest, low, high));
         let Some(whole) = whole else { return work(None) };
         // Taken out meanwhile: a thread that waits for bands may be given another image.
-        let mut runs = RUNS.take();
+        let (mut runs, mut points) = (RUNS.take(), POINTS.take());
         runs.clear();
+        if let Profile::Kaolin(_, cutoff) = profile {
+            points.set(screen, size, cutoff.boxlen);
+        }
         if kept != Some(whole.tiles()) {
             match profile {
                 Profile::Dibr(_) => hard::runs(model, screen, size, |row, columns| {
@@ -183,7 +190,7 @@ impl Image<'_> {
                     runs.push(Run { row, from, to });
                 }),
                 Profile::Kaolin(..) => {
-                    kaolin::cover(model, screen, size, &mut runs);
+                    kaolin::cover(model, screen, &points, size, &mut runs);
                     // Bands look for theirs; in one all rows are.
                     if whole.tiles() > LARGE {
                         runs.sort_unstable_by_key(|run| run.row);
@@ -195,9 +202,21 @@ impl Image<'_> {
         let rows = if whole.tiles() > LARGE { BAND } else { whole.count[1] };
         let faces = screen.faces(model);
         let reach = widest.reach_in_pixels(1);
-        let image = Image { profile, screen, faces, size, units, reach, whole, rows, runs: &runs };
+        let image = Image {
+            profile,
+            screen,
+            faces,
+            size,
+            units,
+            reach,
+            whole,
+            rows,
+            runs: &runs,
+            points: &points,
+        };
         let out = work(Some(&image));
         RUNS.set(runs);
+        POINTS.set(points);
         out
     }
 
@@ -234,7 +253,7 @@ impl Image<'_> {
         match self.profile {
             Profile::Dibr(_) => kernel::draw::<R, false>(source, tiles),
             Profile::Kaolin(_, cutoff) => {
-                kaolin::draw(Boxes::new(source, self.size, cutoff), tiles);
+                kaolin::draw(Boxes::new(source, self.points, cutoff), tiles);
             }
             Profile::Sigmoid(_) => kernel::draw::<R, true>(source, tiles),
         }

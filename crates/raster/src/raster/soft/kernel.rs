@@ -35,6 +35,22 @@ pub(super) fn back<R: Real, const SIGMOID: bool>(
     }
 }
 
+/// The pixels of a tile that a face counts for.
+pub(super) trait Pixels {
+    /// Whether the pixel in a lane is one; asked once for each.
+    fn has(&mut self, lane: usize) -> bool;
+}
+
+/// All of them.
+pub(super) struct All;
+
+impl Pixels for All {
+    #[inline(always)]
+    fn has(&mut self, _: usize) -> bool {
+        true
+    }
+}
+
 #[inline(always)]
 fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     source: &Source<'_>,
@@ -69,7 +85,8 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                         let place = [&x[c], &y[r]];
                         let values =
                             &mut tiles.values[(row + r) * tiles.rectangle.count[0] + column + c];
-                        draw_one::<R, FMA, SIGMOID>(&block, lane, edge_of(one, at), place, values);
+                        let k = edge_of(one, at);
+                        draw_one::<R, FMA, SIGMOID>(&block, lane, k, place, values, All);
                         left &= left - 1;
                     }
                     while used != 0 {
@@ -78,7 +95,7 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                         let place = [&x[c], &y[r]];
                         let values =
                             &mut tiles.values[(row + r) * tiles.rectangle.count[0] + column + c];
-                        draw_tile::<R, FMA, SIGMOID>(&block, lane, place, values);
+                        draw_tile::<R, FMA, SIGMOID>(&block, lane, place, values, All);
                         used &= used - 1;
                     }
                     column += 8;
@@ -119,6 +136,7 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     lane: usize,
     [x, y]: [&[R; LANES]; 2],
     values: &mut [R; LANES],
+    mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
         let (x, y) = (x[l] - block.x[lane], y[l] - block.y[lane]);
@@ -132,18 +150,19 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = left.most(R::LEAST_PRODUCT);
+        values[l] = if pixels.has(l) { left.most(R::LEAST_PRODUCT) } else { values[l] };
     }
 }
 
 /// As [`draw_tile`] for a tile outside of the face to which edge `k` is the nearest.
 #[inline(always)]
-fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
+pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     lane: usize,
     k: usize,
     [x, y]: [&[R; LANES]; 2],
     values: &mut [R; LANES],
+    mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
         let (d, _, _, _) =
@@ -154,7 +173,7 @@ fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = left.most(R::LEAST_PRODUCT);
+        values[l] = if pixels.has(l) { left.most(R::LEAST_PRODUCT) } else { values[l] };
     }
 }
 
@@ -212,6 +231,7 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                             place,
                             values,
                             &mut sums[k & 3],
+                            All,
                         );
                         left &= left - 1;
                     }
@@ -227,7 +247,7 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
                         let place = [&x[c], &y[r]];
                         let values =
                             &tiles.values[(row + r) * tiles.rectangle.count[0] + column + c];
-                        back_tile::<R, FMA, SIGMOID>(&block, lane, place, values, &mut local);
+                        back_tile::<R, FMA, SIGMOID>(&block, lane, place, values, &mut local, All);
                         used &= used - 1;
                     }
                     (sums[0], sums[1], sums[2]) = (local[0], local[1], local[2]);
@@ -249,6 +269,7 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     [x, y]: [&[R; LANES]; 2],
     values: &[R; LANES],
     sums: &mut Sums<R>,
+    mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
         let (x, y) = (x[l] - block.x[lane], y[l] - block.y[lane]);
@@ -264,6 +285,7 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
         };
+        let weight = if pixels.has(l) { weight } else { R::ZERO };
         let first = d0 <= nearest;
         let second = d1 <= nearest;
         let w0 = if first { weight } else { R::ZERO };
@@ -290,13 +312,14 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
 
 /// As [`back_tile`] for a tile outside of the face to which edge `k` is the nearest.
 #[inline(always)]
-fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
+pub(super) fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     lane: usize,
     k: usize,
     [x, y]: [&[R; LANES]; 2],
     values: &[R; LANES],
     sums: &mut [[R; LANES]; 4],
+    mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
         let (d, s, b, a) =
@@ -307,6 +330,7 @@ fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
         };
+        let w = if pixels.has(l) { w } else { R::ZERO };
         let g = if a < R::ZERO { -b } else { b };
         sums[0][l] = w.fused::<FMA>(s, sums[0][l]);
         sums[1][l] = (w * s).fused::<FMA>(a - g, sums[1][l]);

@@ -7,7 +7,7 @@
 
 use super::faces::{Block, Source};
 use super::real::{LANES, Real};
-use super::tiles::{LAST, SIDE, Units};
+use super::tiles::{EACH, LAST, SIDE, Units};
 
 /// Widths by which strips are enlarged: more than rounding and [`LEVEL`] take away.
 const MARGIN: f64 = 2e-3;
@@ -45,6 +45,23 @@ struct Strip<R> {
 impl Near {
     pub(super) fn new() -> Self {
         Self { all: [0; LANES], one: [[0; LANES]; 3] }
+    }
+
+    /// For each edge, the tiles of which it alone gives the distance, of the 8x8 from this one on;
+    /// none for those further than eight from the first one within reach.
+    #[inline(always)]
+    pub(super) fn from(
+        &self,
+        lane: usize,
+        tiles: &[[i32; LANES]; 4],
+        [column, row]: [usize; 2],
+    ) -> [u64; 3] {
+        let (c, r) = (column as i32 - tiles[0][lane], row as i32 - tiles[2][lane]);
+        let within = (0..8).contains(&c) & (0..8).contains(&r);
+        // Bits that come from the row below are not those of tiles further right.
+        let keep = if within { EACH * (0xFF >> (c & 7)) } else { 0 };
+        let shift = (8 * r + c) & 63;
+        [0, 1, 2].map(|k| (self.one[k][lane] >> shift) & keep)
     }
 
     /// Find those of a block; `low` and `high` are the bounds of its faces in tiles, from the first

@@ -103,7 +103,9 @@ pub(super) struct Tiles<R> {
     pub(super) values: Vec<[R; LANES]>,
     /// Faces that the pixels have met, where these are counted.
     pub(super) met: Vec<[i32; LANES]>,
-    /// Tiles of one face; empty between uses.
+    /// Pixels that are not 0, a bit each, where faces are counted.
+    pub(super) open: Vec<u32>,
+    /// Tiles of the faces of a block.
     pub(super) list: Vec<Met>,
     /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
     bits: Vec<u8>,
@@ -119,6 +121,7 @@ impl<R: Real> Default for Tiles<R> {
             rectangle: Rectangle::default(),
             values: Vec::new(),
             met: Vec::new(),
+            open: Vec::new(),
             list: Vec::new(),
             bits: Vec::new(),
             x: Vec::new(),
@@ -128,7 +131,7 @@ impl<R: Real> Default for Tiles<R> {
 }
 
 /// The low bits of each byte.
-const EACH: u64 = 0x0101_0101_0101_0101;
+pub(super) const EACH: u64 = 0x0101_0101_0101_0101;
 
 impl<R: Real> Tiles<R> {
     /// Lay tiles over a rectangle.
@@ -160,6 +163,14 @@ impl<R: Real> Tiles<R> {
     pub(super) fn meet_nobody(&mut self) {
         self.met.clear();
         self.met.resize(self.values.len(), [0; LANES]);
+        self.open.clear();
+        self.open.extend(self.values.iter().map(|tile| {
+            let mut bits = 0;
+            for (l, value) in tile.iter().enumerate() {
+                bits |= u32::from(*value != R::ZERO) << l;
+            }
+            bits
+        }));
     }
 
     /// Set the pixels outside of the image to 0.

@@ -1,0 +1,117 @@
+//! Which pixels are inside of faces.
+
+use multiversion::multiversion;
+
+use super::super::real::LANES;
+use super::super::tiles::Run;
+use super::points::{Bounds, Grid, Points, of_face};
+use crate::raster::{Model, Screen, Size};
+
+/// Added to denominators, in multiplied units.
+const EPSILON: f64 = 1e-15;
+/// Faces at this depth (metres, down -z) or beyond are not drawn.
+const DEEPEST: f64 = -1000.0;
+
+/// Side of a block of pixels, a lane each.
+const SIDE: usize = 4;
+
+/// Add the pixels inside of faces to `runs`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+pub(in super::super) fn cover(
+    model: &Model,
+    screen: &Screen,
+    points: &Points,
+    size: Size,
+    runs: &mut Vec<Run>,
+) {
+    let grid = Grid::new(size);
+    for faces in screen.faces(model).chunks(LANES) {
+        let front = front(screen, faces);
+        let mut boxes = [([0; 4], [0; 3]); LANES];
+        let mut kept = 0;
+        for (face, front) in faces.iter().zip(front) {
+            let bounds = of_face(&points.held, *face);
+            boxes[kept] = (bounds, *face);
+            kept += usize::from(front & (bounds[0] < -bounds[2]) & (bounds[1] < -bounds[3]));
+        }
+        for (bounds, face) in &boxes[..kept] {
+            let face = Face::new(points, screen, *face);
+            let [left, top, right, bottom] = *bounds;
+            for row in (top..-bottom).step_by(SIDE) {
+                for column in (left..-right).step_by(SIDE) {
+                    let mut held = face.holds(&grid, bounds, [column, row]);
+                    while held != 0 {
+                        let [down, across] = [held.trailing_zeros() / 4, held.trailing_zeros() % 4];
+                        let [row, from] = [row as u32 + down, column as u32 + across];
+                        runs.push(Run { row, from, to: from + 1 });
+                        held &= held - 1;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Whether `n_z >= 0` in Kaolin's camera frame.
+#[inline(always)]
+fn front(screen: &Screen, faces: &[[u32; 3]]) -> [bool; LANES] {
+    let mut corners = [[0.0; LANES]; 6];
+    for (l, face) in faces.iter().enumerate() {
+        for k in 0..3 {
+            corners[2 * k][l] = screen.x[face[k] as usize];
+            corners[2 * k + 1][l] = -screen.y[face[k] as usize];
+        }
+    }
+    let mut front = [false; LANES];
+    for l in 0..LANES {
+        let [ax, ay, bx, by, cx, cy] = [0, 1, 2, 3, 4, 5].map(|k| corners[k][l]);
+        front[l] = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) >= 0.0;
+    }
+    front
+}
+
+/// A face in multiplied NDC.
+struct Face {
+    a: [f64; 2],
+    b: [f64; 2],
+    c: [f64; 2],
+    /// Down -z.
+    depth: [f64; 3],
+}
+
+impl Face {
+    #[inline(always)]
+    fn new(points: &Points, screen: &Screen, face: [u32; 3]) -> Self {
+        let [a, b, c] = face.map(|k| [points.x[k as usize], points.y[k as usize]]);
+        Self { a, b, c, depth: face.map(|k| -screen.z[k as usize]) }
+    }
+
+    /// Which pixels of a block, from its first column and row on, the face holds at a depth that is
+    /// drawn: a bit each, row by row.
+    #[inline(always)]
+    fn holds(&self, grid: &Grid, bounds: &Bounds, first: [i32; 2]) -> u32 {
+        let ([ax, ay], [bx, by], [cx, cy]) = (self.a, self.b, self.c);
+        let (m, p, n, q) = (bx - ax, by - ay, cx - ax, cy - ay);
+        let k = m * q - n * p + EPSILON;
+        let [column, row] = first.map(f64::from);
+        let (right, bottom) = (-f64::from(bounds[2]), -f64::from(bounds[3]));
+        let mut held = [false; LANES];
+        for l in 0..LANES {
+            let (column, row) = (column + (l % SIDE) as f64, row + (l / SIDE) as f64);
+            let (x, y) = (grid.x(column), grid.y(row));
+            let w1 = ((x - ax) * q - n * (y - ay)) / k;
+            let w2 = (m * (y - ay) - (x - ax) * p) / k;
+            let w0 = 1.0 - w1 - w2;
+            let z = w0 * self.depth[0] + w1 * self.depth[1] + w2 * self.depth[2];
+            held[l] = !((w0 < 0.0) | (w1 < 0.0) | (w2 < 0.0))
+                & (z > DEEPEST)
+                & (column < right)
+                & (row < bottom);
+        }
+        let mut bits = 0;
+        for l in 0..LANES {
+            bits |= u32::from(held[l]) << l;
+        }
+        bits
+    }
+}
