@@ -6,10 +6,9 @@
 
 use super::band::Band;
 use super::normals::{flat, smooth};
-use super::setup::Keep;
 use super::{Fragment, Scenes, Surface, band};
 use crate::error::{Error, Result};
-use crate::raster::{Size, View};
+use crate::raster::View;
 
 /// The largest number of samples along a side of a pixel.
 pub const LARGEST_SAMPLES: usize = 8;
@@ -86,18 +85,14 @@ pub fn draw<'a>(
     if let Some(veil) = &out.veil {
         assert_eq!(veil.len(), scenes.images() * pixels, "veil: (B, H, W)");
     }
-    let fine = Size { height: scenes.size.height * samples, width: scenes.size.width * samples };
     let image = |image: usize, out: Colours<'a>| {
-        let views = &scenes.views[image * count..(image + 1) * count];
-        band::with_prepared(|prepared| {
-            let set_up = (fine, samples as f64, Keep::Centres);
-            prepared.prepare(scenes.surfaces, views, scenes.near(), set_up)?;
-            let rows = band::band_rows(fine, samples);
-            let cut = |out: Colours<'a>, fine| out.split_at(fine / (samples * samples), count);
-            band::draw_bands(prepared, (fine, rows), out, cut, |band, _, piece| {
-                let pixels = Pixels { band, surfaces: scenes.surfaces, views, image, samples };
-                pixels.draw(scenes.size.width, shade, piece);
-            })
+        let set_up = scenes.image(image, samples);
+        let rows = band::band_rows(set_up.size, samples);
+        let cut = |out: Colours<'a>, fine| out.split_at(fine / (samples * samples), count);
+        band::draw(&set_up, rows, out, cut, |band, _, piece| {
+            let views = set_up.views;
+            let pixels = Pixels { band, surfaces: scenes.surfaces, views, image, samples };
+            pixels.draw(scenes.size.width, shade, piece);
         })
     };
     let cut = |out: Colours<'a>, images: usize| out.split_at(images * pixels, count);
@@ -230,7 +225,7 @@ mod tests {
     use super::*;
     use crate::camera::Intrinsics;
     use crate::gbuffer::coverage::{self, Share};
-    use crate::raster::Model;
+    use crate::raster::{Model, Size};
     use crate::shade::{Environment, Light, Look, Material, Materials, Paint, Texture};
 
     const SIZE: Size = Size { height: 24, width: 32 };

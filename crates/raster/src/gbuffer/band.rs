@@ -9,9 +9,9 @@ use multiversion::multiversion;
 #[cfg(all(target_arch = "x86_64", not(target_feature = "avx512f")))]
 use super::avx512::draw as draw_wide;
 #[cfg(all(target_arch = "x86_64", target_feature = "avx512f"))]
-use draw as draw_wide;
+use draw_record as draw_wide;
 
-use super::setup::{Prepared, Record};
+use super::setup::{Image, Keep, Prepared, Record};
 use super::{Fragment, Surface};
 use crate::error::Result;
 use crate::raster::Size;
@@ -76,50 +76,109 @@ pub(super) fn for_each<P: Send>(
     head.and(tail)
 }
 
-/// Draw an image of `size` samples in bands of so many rows and hand each band to `resolve`, with
-/// its part of the piece; `cut` takes the part of so many samples off a piece.
-pub(super) fn draw_bands<P: Send>(
-    prepared: &Prepared,
-    (size, rows): (Size, usize),
+/// Draw an image in bands of so many rows and hand each band to `resolve`, with its part of the
+/// piece; `cut` takes the part of so many samples off a piece.
+pub(super) fn draw<P: Send>(
+    image: &Image<'_>,
+    rows: usize,
     piece: P,
     cut: impl Fn(P, usize) -> (P, P) + Sync,
     resolve: impl Fn(&Band<'_>, &mut Vec<Fragment>, P) + Sync,
 ) -> Result<()> {
-    let one = |k: usize, piece: P| {
-        let mut scratch = SCRATCHES.with_borrow_mut(Vec::pop).unwrap_or_default();
-        let band = k * rows..((k + 1) * rows).min(size.height);
-        let stride = size.width + LANES;
-        let samples = stride * band.len();
-        if scratch.nearness.len() < samples {
-            scratch.nearness.resize(samples, 0.0);
-            scratch.ids.resize(samples, 0);
+    let Size { height, width } = image.size;
+    with_prepared(|prepared| {
+        if height <= rows {
+            return with_planes(0..height, width, |planes, fragments| {
+                prepared.stream(image, Keep::Centres, |records| planes.draw(records))?;
+                resolve(&planes.band(prepared), fragments, piece);
+                Ok(())
+            });
         }
-        let Scratch { nearness, ids, fragments } = &mut scratch;
-        let planes = (&mut nearness[..samples], &mut ids[..samples]);
-        let dirty = fill(prepared.records(), band.clone(), stride, planes);
-        resolve(
-            &Band { prepared, stride, rows: band, nearness, ids, dirty: &dirty },
-            fragments,
-            piece,
-        );
-        for row in dirty.rows {
-            let samples = row * stride + dirty.columns.start..row * stride + dirty.columns.end;
-            nearness[samples.clone()].fill(0.0);
-            ids[samples].fill(0);
+        prepared.prepare(image, Keep::Centres)?;
+        let one = |k: usize, piece: P| {
+            let band = k * rows..((k + 1) * rows).min(height);
+            with_planes(band, width, |planes, fragments| {
+                planes.draw(prepared.records());
+                resolve(&planes.band(prepared), fragments, piece);
+                Ok(())
+            })
+        };
+        let cut = |piece, bands| cut(piece, bands * rows * width);
+        for_each(0..height.div_ceil(rows), piece, &cut, &one)
+    })
+}
+
+/// Work with planes of this thread for a band of rows of an image so wide, all zeros.
+fn with_planes<T>(
+    rows: Range<usize>,
+    width: usize,
+    work: impl FnOnce(&mut Planes<'_>, &mut Vec<Fragment>) -> T,
+) -> T {
+    let mut scratch = SCRATCHES.with_borrow_mut(Vec::pop).unwrap_or_default();
+    let stride = width + LANES;
+    let samples = stride * (rows.len() + 1); // one more, for steps of two rows
+    if scratch.nearness.len() < samples {
+        scratch.nearness.resize(samples, 0.0);
+        scratch.ids.resize(samples, 0);
+    }
+    let Scratch { nearness, ids, fragments } = &mut scratch;
+    let (nearness, ids) = (&mut nearness[..samples], &mut ids[..samples]);
+    let mut planes = Planes { rows, stride, nearness, ids, dirty: Dirty::default() };
+    let result = work(&mut planes, fragments);
+    planes.clear();
+    SCRATCHES.with_borrow_mut(|list| list.push(scratch));
+    result
+}
+
+/// The z-buffer of a band of rows.
+struct Planes<'a> {
+    rows: Range<usize>,
+    stride: usize,
+    nearness: &'a mut [f64],
+    ids: &'a mut [u32],
+    dirty: Dirty,
+}
+
+impl Planes<'_> {
+    fn draw(&mut self, records: &[Record]) {
+        let planes = (&mut *self.nearness, &mut *self.ids);
+        let found = fill(records, self.rows.clone(), self.stride, planes);
+        self.dirty.add(found);
+    }
+
+    fn band<'a>(&'a self, prepared: &'a Prepared) -> Band<'a> {
+        let Self { rows, stride, nearness, ids, dirty } = self;
+        Band { prepared, rows: rows.clone(), dirty, stride: *stride, nearness, ids }
+    }
+
+    fn clear(&mut self) {
+        let Dirty { rows, columns } = &self.dirty;
+        for row in rows.clone() {
+            let samples = row * self.stride + columns.start..row * self.stride + columns.end;
+            self.nearness[samples.clone()].fill(0.0);
+            self.ids[samples].fill(0);
         }
-        SCRATCHES.with_borrow_mut(|list| list.push(scratch));
-        Ok(())
-    };
-    let cut = |piece, bands| cut(piece, bands * rows * size.width);
-    for_each(0..size.height.div_ceil(rows), piece, &cut, &one)
+    }
 }
 
 /// The part of a band that faces may have drawn to.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Dirty {
     /// Counted from the first row of the band.
     pub(super) rows: Range<usize>,
     pub(super) columns: Range<usize>,
+}
+
+impl Dirty {
+    fn add(&mut self, other: Self) {
+        if self.rows.is_empty() {
+            *self = other;
+        } else if !other.rows.is_empty() {
+            let join = |a: &Range<usize>, b: &Range<usize>| a.start.min(b.start)..a.end.max(b.end);
+            self.rows = join(&self.rows, &other.rows);
+            self.columns = join(&self.columns, &other.columns);
+        }
+    }
 }
 
 /// Rows of an image, drawn.
@@ -191,7 +250,7 @@ fn fill(
         let planes = (&mut nearness[start..], &mut ids[start..]);
         multiversion::target::match_target! {
             "x86_64+avx512f+avx512vl" => draw_wide(record, [first, end], stride, planes),
-            _ => draw(record, [first, end], stride, planes),
+            _ => draw_record(record, [first, end], stride, planes),
         }
     }
     if touched[1] == 0 {
@@ -206,7 +265,7 @@ fn fill(
 
 /// Draw the rows of a record into planes that begin at its first row and column.
 #[inline(always)]
-fn draw(
+fn draw_record(
     record: &Record,
     [first, end]: [i32; 2],
     stride: usize,
@@ -244,7 +303,6 @@ fn draw_row(record: &Record, u: f64, v: f64, (nearness, ids): (&mut [f64], &mut 
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::setup::Keep;
     use super::*;
     use crate::camera::Intrinsics;
     use crate::raster::{Model, View};
@@ -262,10 +320,11 @@ mod tests {
             let view = View { rotation, translation: [0.0, 0.0, 1.5], camera };
             let size = Size { height: 30, width: 43 };
             let mut prepared = Prepared::default();
-            let set_up = (size, 1.0, Keep::Centres);
-            prepared.prepare(&[Surface::new(&model)], &[view], 0.1, set_up).expect("drawn");
+            let surfaces = [Surface::new(&model)];
+            let image = Image { surfaces: &surfaces, views: &[view], near: 0.1, size, samples: 1 };
+            prepared.prepare(&image, Keep::Centres).expect("drawn");
             let stride = size.width + LANES;
-            let n = stride * 20;
+            let n = stride * 21;
             let (mut fast, mut plain) = ((vec![0.0; n], vec![0; n]), (vec![0.0; n], vec![0; n]));
             let planes = (fast.0.as_mut_slice(), fast.1.as_mut_slice());
             fill(prepared.records(), 5..25, stride, planes);
@@ -275,7 +334,7 @@ mod tests {
                 if first < end {
                     let start = (first - 5) as usize * stride + record.columns[0] as usize;
                     let planes = (&mut plain.0[start..], &mut plain.1[start..]);
-                    draw(record, [first, end], stride, planes);
+                    draw_record(record, [first, end], stride, planes);
                 }
             }
             prop_assert!(fast == plain);

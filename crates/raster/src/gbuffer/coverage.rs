@@ -2,10 +2,9 @@
 
 use rayon::prelude::*;
 
-use super::setup::Keep;
 use super::{Scenes, band};
 use crate::error::{Error, Result};
-use crate::raster::{Pixel, Size};
+use crate::raster::Pixel;
 
 /// The largest number of samples along a side of a pixel.
 pub const LARGEST_SAMPLES: usize = 16;
@@ -45,40 +44,36 @@ pub fn draw<T: Pixel>(
     let channels = if share == Share::Each { count } else { 1 };
     let pixels = scenes.size.pixels();
     assert_eq!(out.len(), scenes.images() * pixels * channels, "out: (B, H, W[, M])");
-    let fine = Size { height: scenes.size.height * samples, width: scenes.size.width * samples };
     let all = (samples * samples) as f64;
     let images = out.par_chunks_exact_mut(pixels * channels);
-    images.zip(scenes.views.par_chunks_exact(count)).try_for_each(|(out, views)| {
-        band::with_prepared(|prepared| {
-            let set_up = (fine, samples as f64, Keep::Centres);
-            prepared.prepare(scenes.surfaces, views, scenes.near(), set_up)?;
-            let rows = band::band_rows(fine, samples);
-            let of = |fine: usize| fine / (samples * samples) * channels;
-            let cut = |out, fine| <[T]>::split_at_mut(out, of(fine));
-            band::draw_bands(prepared, (fine, rows), out, cut, |band, _, piece| {
-                let width = scenes.size.width * channels;
-                for (row, out) in piece.chunks_exact_mut(width).enumerate() {
-                    out.fill(T::default());
-                    for row in row * samples..(row + 1) * samples {
-                        if !band.dirty.rows.contains(&row) {
-                            continue;
-                        }
-                        let (_, ids) = band.row(row);
-                        for column in band.dirty.columns.clone().filter(|&c| ids[c] != 0) {
-                            let channel = match share {
-                                Share::All => 0,
-                                Share::Each => band.prepared.find(ids[column]).0,
-                            };
-                            let out = &mut out[column / samples * channels + channel];
-                            // Counts are whole numbers, exact in either type.
-                            *out = T::from_f64(out.to_f64() + 1.0);
-                        }
+    images.enumerate().try_for_each(|(image, out)| {
+        let set_up = scenes.image(image, samples);
+        let rows = band::band_rows(set_up.size, samples);
+        let of = |fine: usize| fine / (samples * samples) * channels;
+        let cut = |out, fine| <[T]>::split_at_mut(out, of(fine));
+        band::draw(&set_up, rows, out, cut, |band, _, piece| {
+            let width = scenes.size.width * channels;
+            for (row, out) in piece.chunks_exact_mut(width).enumerate() {
+                out.fill(T::default());
+                for row in row * samples..(row + 1) * samples {
+                    if !band.dirty.rows.contains(&row) {
+                        continue;
                     }
-                    for share in out {
-                        *share = T::from_f64(share.to_f64() / all);
+                    let (_, ids) = band.row(row);
+                    for column in band.dirty.columns.clone().filter(|&c| ids[c] != 0) {
+                        let channel = match share {
+                            Share::All => 0,
+                            Share::Each => band.prepared.find(ids[column]).0,
+                        };
+                        let out = &mut out[column / samples * channels + channel];
+                        // Counts are whole numbers, exact in either type.
+                        *out = T::from_f64(out.to_f64() + 1.0);
                     }
                 }
-            })
+                for share in out {
+                    *share = T::from_f64(share.to_f64() / all);
+                }
+            }
         })
     })
 }
@@ -88,7 +83,7 @@ mod tests {
     use super::*;
     use crate::camera::Intrinsics;
     use crate::gbuffer::Surface;
-    use crate::raster::{Model, View};
+    use crate::raster::{Model, Size, View};
 
     fn square(low: f64, high: f64, z: f64) -> Model {
         let v =

@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use super::setup::{Keep, Prepared};
+use super::setup::{Image, Keep, Prepared};
 use super::tiles::Tiles;
 use super::{Fragment, Scenes, band};
 use crate::camera::Intrinsics;
@@ -122,7 +122,7 @@ impl Pairs<'_> {
     /// If an output has another length.
     pub fn draw<T: Pixel>(&self, flow: &mut [T], fate: &mut [Fate]) -> Result<()> {
         self.check()?;
-        let (count, pixels) = (self.first.surfaces.len(), self.first.size.pixels());
+        let pixels = self.first.size.pixels();
         assert_eq!(fate.len(), self.first.images() * pixels, "fate: (B, H, W)");
         assert_eq!(flow.len(), 2 * fate.len(), "flow: (B, H, W, 2)");
         let images = flow
@@ -130,27 +130,23 @@ impl Pairs<'_> {
             .zip(fate.par_chunks_exact_mut(pixels))
             .enumerate();
         images.try_for_each(|(image, (flow, fate))| {
-            band::with_prepared(|before| {
-                band::with_prepared(|after| self.pair(image * count, before, after, flow, fate))
-            })
+            band::with_prepared(|after| self.pair(image, after, flow, fate))
         })
     }
 
-    /// One pair of images, the views of which start at `start`.
+    /// One pair of images.
     fn pair<T: Pixel>(
         &self,
-        start: usize,
-        before: &mut Prepared,
+        image: usize,
         after: &mut Prepared,
         flow: &mut [T],
         fate: &mut [Fate],
     ) -> Result<()> {
-        let Scenes { surfaces, views, size, .. } = self.first;
-        let near = self.first.near();
-        let chosen = start..start + surfaces.len();
-        let (views, second) = (&views[chosen.clone()], &self.second[chosen]);
-        before.prepare(surfaces, views, near, (size, 1.0, Keep::Centres))?;
-        after.prepare(surfaces, second, near, (self.second_size, 1.0, Keep::Touched))?;
+        let before = self.first.image(image, 1);
+        let Image { surfaces, views, near, size, .. } = before;
+        let second = &self.second[image * surfaces.len()..(image + 1) * surfaces.len()];
+        let later = Image { views: second, size: self.second_size, ..before };
+        after.prepare(&later, Keep::Touched)?;
         let tiles = Tiles::new(after, self.second_size);
         let slack = 1.0 + self.tolerance.unwrap_or(DEFAULT_TOLERANCE);
         let arrival = |p: [f64; 3], camera: &Intrinsics, far: bool| -> ([f64; 2], Fate) {
@@ -178,7 +174,7 @@ impl Pairs<'_> {
             let corners = face.map(|k| [screen.x[k], screen.y[k], screen.z[k]]);
             arrival(f.mix_points(corners), &second[f.surface].camera, false)
         };
-        let background = self.backgrounds.map(|b| b[start / surfaces.len()]);
+        let background = self.backgrounds.map(|b| b[image]);
         let behind = |b: &Background, centre: [f64; 2]| {
             let k = &views[0].camera;
             let y = (centre[1] - k.cy) / k.fy;
@@ -191,44 +187,37 @@ impl Pairs<'_> {
             arrival(p, &second[0].camera, far)
         };
         let rows = band::band_rows(size, 1);
-        band::draw_bands(
-            before,
-            (size, rows),
-            (flow, fate),
-            cut,
-            |band, fragments, (flow, fate)| {
-                let rows =
-                    flow.chunks_exact_mut(2 * size.width).zip(fate.chunks_exact_mut(size.width));
-                for (row, (flow, fate)) in rows.enumerate() {
-                    let v = (band.rows.start + row) as f64 + 0.5;
-                    if background.is_none() {
-                        flow.fill(T::default());
-                        fate.fill(Fate::None);
+        band::draw(&before, rows, (flow, fate), cut, |band, fragments, (flow, fate)| {
+            let rows = flow.chunks_exact_mut(2 * size.width).zip(fate.chunks_exact_mut(size.width));
+            for (row, (flow, fate)) in rows.enumerate() {
+                let v = (band.rows.start + row) as f64 + 0.5;
+                if background.is_none() {
+                    flow.fill(T::default());
+                    fate.fill(Fate::None);
+                }
+                let mut write = |column: usize, (place, found): ([f64; 2], Fate)| {
+                    let known = !matches!(found, Fate::Behind | Fate::None);
+                    let centre = [column as f64 + 0.5, v];
+                    for k in 0..2 {
+                        let moved = if known { place[k] - centre[k] } else { 0.0 };
+                        flow[2 * column + k] = T::from_f64(moved);
                     }
-                    let mut write = |column: usize, (place, found): ([f64; 2], Fate)| {
-                        let known = !matches!(found, Fate::Behind | Fate::None);
-                        let centre = [column as f64 + 0.5, v];
-                        for k in 0..2 {
-                            let moved = if known { place[k] - centre[k] } else { 0.0 };
-                            flow[2 * column + k] = T::from_f64(moved);
+                    fate[column] = found;
+                };
+                band.fragments(row, surfaces, fragments);
+                if let Some(background) = &background {
+                    let mut seen = fragments.iter().map(|f| f.column).peekable();
+                    for column in 0..size.width {
+                        if seen.next_if_eq(&column).is_none() {
+                            write(column, behind(background, [column as f64 + 0.5, v]));
                         }
-                        fate[column] = found;
-                    };
-                    band.fragments(row, surfaces, fragments);
-                    if let Some(background) = &background {
-                        let mut seen = fragments.iter().map(|f| f.column).peekable();
-                        for column in 0..size.width {
-                            if seen.next_if_eq(&column).is_none() {
-                                write(column, behind(background, [column as f64 + 0.5, v]));
-                            }
-                        }
-                    }
-                    for f in &*fragments {
-                        write(f.column, seen(f));
                     }
                 }
-            },
-        )
+                for f in &*fragments {
+                    write(f.column, seen(f));
+                }
+            }
+        })
     }
 }
 

@@ -43,7 +43,7 @@ mod tiles;
 
 use self::band::Dirty;
 pub use self::fragment::Fragment;
-use self::setup::Keep;
+use self::setup::Image;
 use crate::error::{Error, Result};
 use crate::raster::{Background, DEFAULT_NEAR, Model, Pixel, Plain, Size, View};
 
@@ -231,6 +231,19 @@ impl Scenes<'_> {
         self.near.unwrap_or(DEFAULT_NEAR)
     }
 
+    /// One of the images, with so many samples along the side of a pixel.
+    fn image(&self, index: usize, samples: usize) -> Image<'_> {
+        let count = self.surfaces.len();
+        let size = Size { height: self.size.height * samples, width: self.size.width * samples };
+        Image {
+            surfaces: self.surfaces,
+            views: &self.views[index * count..(index + 1) * count],
+            near: self.near(),
+            size,
+            samples,
+        }
+    }
+
     /// Channels of the attributes: those of the first surface that has any.
     #[must_use]
     pub fn attribute_channels(&self) -> usize {
@@ -314,17 +327,12 @@ impl Scenes<'_> {
         let background = Background::of(out.bytes());
         let cut = |mut out: GBuffer<'a, T>, pixels: usize| (out.split(pixels, channels), out);
         let image = |image: usize, out: GBuffer<'a, T>| {
-            let count = self.surfaces.len();
-            let views = &self.views[image * count..(image + 1) * count];
-            band::with_prepared(|prepared| {
-                let set_up = (self.size, 1.0, Keep::Centres);
-                prepared.prepare(self.surfaces, views, self.near(), set_up)?;
-                let rows = (self.size, band::band_rows(self.size, 1));
-                band::draw_bands(prepared, rows, out, cut, |band, fragments, out| {
-                    let surfaces = (self.surfaces, views);
-                    let wanted = (normals, channels, background);
-                    resolve::resolve(band, surfaces, wanted, fragments, out);
-                })
+            let set_up = self.image(image, 1);
+            let rows = band::band_rows(self.size, 1);
+            band::draw(&set_up, rows, out, cut, |band, fragments, out| {
+                let surfaces = (self.surfaces, set_up.views);
+                let wanted = (normals, channels, background);
+                resolve::resolve(band, surfaces, wanted, fragments, out);
             })
         };
         let cut_images = |out, images: usize| cut(out, images * pixels);

@@ -13,6 +13,9 @@ use crate::raster::{Screen, Size, View};
 /// Faces that are set up together.
 const LANES: usize = 64;
 
+/// Faces whose records stay in the cache: up to 38 kB.
+const GROUP: usize = 4 * LANES;
+
 /// A face in the image. Its corners are sorted by `(u, v)`, and its edges go from the first to the
 /// second, from the first to the third and from the second to the third.
 ///
@@ -93,6 +96,20 @@ pub(super) enum Keep {
     Touched,
 }
 
+/// An image to set up.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Image<'a> {
+    pub(super) surfaces: &'a [Surface<'a>],
+    /// One for each surface.
+    pub(super) views: &'a [View],
+    /// Distance to the near plane in metres.
+    pub(super) near: f64,
+    /// In samples.
+    pub(super) size: Size,
+    /// So many samples along the side of a pixel.
+    pub(super) samples: usize,
+}
+
 /// One image, projected and set up. Buffers are used again.
 #[derive(Debug, Default)]
 pub(super) struct Prepared {
@@ -104,18 +121,39 @@ pub(super) struct Prepared {
     /// How many of the records are those of this image.
     used: usize,
     points: Vec<[f64; 3]>,
+    corners: Box<Corners>,
 }
 
 impl Prepared {
-    /// Project and set up the surfaces of an image; `size` in samples, `scale` of them along the
-    /// side of a pixel.
-    pub(super) fn prepare(
+    /// Project and set up an image.
+    pub(super) fn prepare(&mut self, image: &Image<'_>, keep: Keep) -> Result<()> {
+        self.each(image, keep, |_| false)
+    }
+
+    /// As [`prepare`](Self::prepare), handing out some records at a time while they are in the cache.
+    /// None are kept.
+    pub(super) fn stream(
         &mut self,
-        surfaces: &[Surface<'_>],
-        views: &[View],
-        near: f64,
-        (size, scale, keep): (Size, f64, Keep),
+        image: &Image<'_>,
+        keep: Keep,
+        mut work: impl FnMut(&[Record]),
     ) -> Result<()> {
+        self.each(image, keep, |records| {
+            work(records);
+            true
+        })
+    }
+
+    /// Project and set up; `taken` is given the records that are there, and says whether they may be
+    /// forgotten.
+    fn each(
+        &mut self,
+        image: &Image<'_>,
+        keep: Keep,
+        mut taken: impl FnMut(&[Record]) -> bool,
+    ) -> Result<()> {
+        let Image { surfaces, views, near, size, samples } = *image;
+        let scale = samples as f64;
         self.used = 0;
         self.starts.clear();
         if self.screens.len() < surfaces.len() {
@@ -128,11 +166,15 @@ impl Prepared {
             self.points.clear();
             let points = u.iter().zip(v).zip(z);
             self.points.extend(points.map(|((u, v), z)| [u * scale, v * scale, 1.0 / z]));
-            let faces = screen.faces(surface.model);
-            let out = (&mut self.records, &mut self.used);
-            set_up(&self.points, faces, start, (size, keep), out);
             self.starts.push(start);
-            start += faces.len() as u32;
+            for faces in screen.faces(surface.model).chunks(GROUP) {
+                let out = (&mut self.records, &mut self.used);
+                set_up(&self.points, faces, start, (size, keep), &mut self.corners, out);
+                start += faces.len() as u32;
+                if taken(&self.records[..self.used]) {
+                    self.used = 0;
+                }
+            }
         }
         Ok(())
     }
@@ -155,6 +197,7 @@ impl Prepared {
 }
 
 /// Corners of faces and what follows from them, one array a number.
+#[derive(Debug)]
 struct Corners {
     u: [[f64; LANES]; 3],
     v: [[f64; LANES]; 3],
@@ -168,20 +211,24 @@ struct Corners {
     kept: [bool; LANES],
 }
 
-impl Corners {
-    const EMPTY: Self = Self {
-        u: [[0.0; LANES]; 3],
-        v: [[0.0; LANES]; 3],
-        w: [[0.0; LANES]; 3],
-        du: [[0.0; LANES]; 3],
-        dv: [[0.0; LANES]; 3],
-        nearness: [[0.0; LANES]; 2],
-        range: [[0.0; LANES]; 2],
-        columns: [[0.0; LANES]; 2],
-        rows: [[0.0; LANES]; 2],
-        kept: [false; LANES],
-    };
+impl Default for Corners {
+    fn default() -> Self {
+        Self {
+            u: [[0.0; LANES]; 3],
+            v: [[0.0; LANES]; 3],
+            w: [[0.0; LANES]; 3],
+            du: [[0.0; LANES]; 3],
+            dv: [[0.0; LANES]; 3],
+            nearness: [[0.0; LANES]; 2],
+            range: [[0.0; LANES]; 2],
+            columns: [[0.0; LANES]; 2],
+            rows: [[0.0; LANES]; 2],
+            kept: [false; LANES],
+        }
+    }
+}
 
+impl Corners {
     /// Exchange two corners where `a` comes after `b`.
     #[expect(clippy::float_cmp, reason = "an order of exact places")]
     #[inline(always)]
@@ -287,16 +334,16 @@ fn whole(x: f64) -> i32 {
     (x + 4_503_599_627_370_496.0).to_bits() as i32
 }
 
-/// Append the faces that are left after `start` earlier ones.
+/// Append those that are left after `start` earlier ones.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 fn set_up(
     points: &[[f64; 3]],
     faces: &[[u32; 3]],
     start: u32,
     (size, keep): (Size, Keep),
+    corners: &mut Corners,
     (records, used): (&mut Vec<Record>, &mut usize),
 ) {
-    let mut corners = Corners::EMPTY;
     let mut first = start + 1;
     for faces in faces.chunks(LANES) {
         for (k, face) in faces.iter().enumerate() {
