@@ -246,6 +246,30 @@ def test_gradients_are_difference_quotients_across_the_near_plane_too(options, n
     np.testing.assert_allclose(ours, numeric, rtol=0, atol=2e-6 * np.abs(numeric).max())
 
 
+@pytest.mark.parametrize("near", [None, 2.2], ids=["whole", "cut"])
+@given(seed=scenes.seeds)
+@settings(max_examples=40)
+def test_copies_of_a_vertex_named_or_not_leave_the_gradient_of_coverage(near, seed):
+    rng = np.random.default_rng(seed)
+    vertices, faces = TETRAHEDRON
+    R, t = scenes.poses(rng, 2, distance=2.4, spread=0.1)
+    pose = (CAMERA, R, t, rng.normal(size=(2, 12, 16)))
+    once = render.silhouette_gradients(Mesh(vertices, faces), *pose, near=near)
+    # Each vertex up to four times, in any order, and corners that name any of these.
+    copies = rng.permutation(np.repeat(np.arange(4), rng.integers(1, 5, size=4)))
+    named = np.array([[rng.choice(np.flatnonzero(copies == v)) for v in face] for face in faces])
+    found = render.silhouette_gradients(Mesh(vertices[copies], named), *pose, near=near)
+    sums = np.zeros_like(vertices)
+    np.add.at(sums, copies, found.vertices)
+    for ours, expected in (
+        (found.R, once.R),
+        (found.t, once.t),
+        (found.K, once.K),
+        (sums, once.vertices),
+    ):
+        np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("options", [*ALL, *CUTOFFS], ids=scenes.name)
 @given(seed=scenes.seeds)
 @settings(max_examples=40)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import scenes
 from dronepose import Camera, Mesh, render
 from oracles import silhouette as oracle
 
@@ -67,3 +68,29 @@ def test_masks_and_gradients_are_finite(shared, path):
         g = render.silhouette_gradients(mesh, CAMERA, R, t, upstream, near=near, **options)
         for array in (g.R, g.t, g.K, g.vertices):
             assert np.isfinite(array).all(), options
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [o for o in MODES if o["mode"] != "hard"], ids=scenes.name)
+@pytest.mark.parametrize("path", DRONES, ids=lambda p: p.split("/")[-1])
+def test_gradients_are_difference_quotients(shared, path, options):
+    if path.endswith(".dae"):
+        pytest.importorskip("collada", reason="pycollada is not installed")
+    mesh = Mesh.from_file(shared(f"data/drones/{path}"), DRONES[path])
+    rng = np.random.default_rng(11)
+    R, t, near = views(mesh, rng)
+    upstream = rng.normal(size=(4, CAMERA.height, CAMERA.width))
+    options = {**options, "near": near}
+    g = render.silhouette_gradients(mesh, CAMERA, R, t, upstream, vertices=False, **options)
+    turn, shift = rng.normal(size=(2, 4, 3))
+    ours = (render.tangent(g.R, R) * turn + g.t * shift * mesh.bbox_diagonal).sum(axis=1)
+
+    def values(h):
+        turned = Rotation.from_rotvec(h * turn).as_matrix() @ R
+        moved = t + h * shift * mesh.bbox_diagonal
+        masks = render.silhouette(mesh, CAMERA, turned, moved, dtype=np.float64, **options)
+        return (masks * upstream).sum(axis=(1, 2))
+
+    h = 1e-7
+    slope = (values(h) - values(-h)) / (2 * h)
+    np.testing.assert_allclose(ours, slope, rtol=2e-3, atol=2e-3 * np.abs(slope).max())

@@ -24,7 +24,8 @@ pub struct Topology {
     /// For each vertex its share of what happens to its position: 1 over the number of vertices
     /// there that a face names, 0 for a vertex that no face names.
     pub share: Vec<f64>,
-    /// The vertices whose share is not 1, last first.
+    /// The vertices that get another gradient than their own: whose share is not 1, or that are not
+    /// the first at their position. Last first.
     pub shared: Vec<u32>,
     /// The faces over representatives.
     pub faces: Vec<[u32; 3]>,
@@ -70,7 +71,8 @@ impl Topology {
         let faces: Vec<[u32; 3]> =
             faces.iter().map(|f| f.map(|v| representative[v as usize])).collect();
         let (edges, more) = edges(&faces);
-        let shared = (0..share.len() as u32).rev().filter(|&k| share[k as usize] != 1.0).collect();
+        let alone = |k: u32| share[k as usize] == 1.0 && representative[k as usize] == k;
+        let shared = (0..share.len() as u32).rev().filter(|&k| !alone(k)).collect();
         Self { representative, share, shared, faces, edges, more }
     }
 
@@ -150,6 +152,21 @@ mod tests {
         let shared = topology.edges.iter().find(|e| (e.a, e.b) == (1, 2)).expect("there");
         assert_eq!(shared.faces, [0, 3]);
         assert_eq!(topology.edges.iter().filter(|e| e.faces[1] == 4).count(), 4);
+    }
+
+    #[test]
+    fn what_the_first_vertex_at_a_position_gets_goes_to_those_that_faces_name() {
+        // At each of three positions: one vertex, two, and three of which the first has no face.
+        let keys = [1, 2, 3, 2, 3, 3, 4];
+        for (faces, expected) in [
+            (vec![[0, 1, 4], [0, 3, 5]], [8.0, 2.0, 0.0, 2.0, 1.0, 1.0, 0.0]),
+            (vec![[0, 3, 5]], [8.0, 0.0, 0.0, 4.0, 0.0, 2.0, 0.0]),
+            (vec![[0, 1, 2]], [8.0, 4.0, 2.0, 0.0, 0.0, 0.0, 0.0]),
+        ] {
+            let mut gradient = [8.0, 4.0, 2.0, 0.0, 0.0, 0.0, 0.0];
+            Topology::new(&keys, &faces).share(&mut gradient);
+            assert_eq!(gradient, expected, "{faces:?}");
+        }
     }
 
     #[test]
