@@ -1,5 +1,7 @@
 //! Edges in the order of the rows they start in.
 
+use multiversion::multiversion;
+
 use super::outline::NetEdge;
 
 /// For each row of a range, the edges that are in it.
@@ -17,15 +19,11 @@ impl RowOrder {
     /// Begin with row `first`; rows up to `last` follow.
     pub(super) fn begin(&mut self, edges: &[NetEdge], first: usize, last: usize) {
         let rows = last - first;
-        // Those that end before the range have a row of their own, behind the last.
-        let row = |e: &NetEdge| {
-            let row = ((e.y0 - first as f64).max(0.0) as usize).min(rows);
-            if e.y1 >= first as f64 { row as u32 } else { rows as u32 + 1 }
-        };
         self.start.clear();
         self.start.resize(rows + 3, 0);
         self.row.clear();
-        self.row.extend(edges.iter().map(row));
+        self.row.resize(edges.len(), 0);
+        rows_of(edges, first as f64, rows, &mut self.row);
         for &row in &self.row {
             self.start[row as usize + 1] += 1;
         }
@@ -54,5 +52,17 @@ impl RowOrder {
     #[inline(always)]
     pub(super) fn edge(&self, place: usize) -> u32 {
         self.order[place]
+    }
+}
+
+/// The row that each edge starts in; those that end before the range have a row of their own, behind
+/// the last.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
+fn rows_of(edges: &[NetEdge], first: f64, rows: usize, out: &mut [u32]) {
+    for (out, e) in out.iter_mut().zip(edges) {
+        let below = e.y0 - first;
+        let below = if below > 0.0 { below } else { 0.0 };
+        let row = if below < rows as f64 { below as i32 as u32 } else { rows as u32 };
+        *out = if e.y1 >= first { row } else { rows as u32 + 1 };
     }
 }

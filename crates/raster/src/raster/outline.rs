@@ -7,6 +7,8 @@
 //! Nothing is said about the order of the faces, their winding, duplicates, open borders or edges
 //! with more than two faces: they all are sums.
 
+use multiversion::multiversion;
+
 use super::{Model, Screen, Topology};
 
 /// A net edge from its upper end to its lower one; a horizontal edge from left to right.
@@ -94,20 +96,7 @@ impl Outline {
     ) {
         let mut edges = std::mem::take(&mut self.edges);
         edges.clear();
-        let mut beyond = false;
-        let net = self.choose(model, screen, shift);
-        for k in 0..net.count() {
-            let e = net.edge(k);
-            let right = if e.x0 < e.x1 { e.x0 } else { e.x1 };
-            if e.y1 < 0.0 || e.y0 >= height || (e.x0 == e.x1 && e.y0 == e.y1) {
-                continue;
-            }
-            if right >= width {
-                beyond = true;
-                continue;
-            }
-            edges.push(e);
-        }
+        let beyond = keep(&self.choose(model, screen, shift), [height, width], &mut edges);
         (self.edges, self.beyond) = (edges, beyond);
     }
 
@@ -215,6 +204,26 @@ impl Net<'_> {
     }
 }
 
+/// List the edges that [`Outline::find`] does not leave out; whether one is to the right of the
+/// canvas.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
+fn keep(net: &Net<'_>, [height, width]: [f64; 2], edges: &mut Vec<NetEdge>) -> bool {
+    let mut beyond = false;
+    for k in 0..net.count() {
+        let e = net.edge(k);
+        let right = if e.x0 < e.x1 { e.x0 } else { e.x1 };
+        if e.y1 < 0.0 || e.y0 >= height || (e.x0 == e.x1 && e.y0 == e.y1) {
+            continue;
+        }
+        if right >= width {
+            beyond = true;
+            continue;
+        }
+        edges.push(e);
+    }
+    beyond
+}
+
 /// Which way round a face runs on the screen: 1, -1, or 0 without area.
 fn turn(screen: &Screen, shift: f64, face: [u32; 3]) -> i8 {
     let [a, b, c] = face.map(|k| [screen.u[k as usize] + shift, screen.v[k as usize] + shift]);
@@ -224,6 +233,7 @@ fn turn(screen: &Screen, shift: f64, face: [u32; 3]) -> i8 {
 
 /// Edges whose faces do not cancel, with the layers on their inner side, at the front of `chosen`;
 /// how many.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
 fn select(topology: &Topology, sides: &[i8], chosen: &mut Vec<(u32, i32)>) -> usize {
     let side = |code: u32| i32::from(sides[code as usize]);
     if chosen.len() < topology.edges.len() {

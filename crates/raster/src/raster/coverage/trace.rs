@@ -4,6 +4,8 @@
 //! that for the stretch, times its length, along its normal, shared out between the two ends of
 //! the edge by where its middle lies between them.
 
+use multiversion::multiversion;
+
 use super::super::outline::Extent;
 use super::super::spare::Spare;
 use super::super::{Mode, Model, Pixel, Size};
@@ -102,6 +104,7 @@ pub(super) struct Segment {
 }
 
 /// Add the gradient for image points, given the one for areas.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
 pub(super) fn apply<T: Pixel>(segments: &Segments, weights: &[T], du: &mut [f64], dv: &mut [f64]) {
     for s in &segments.list[..segments.count] {
         let weight = weights[s.pixel as usize].to_f64();
