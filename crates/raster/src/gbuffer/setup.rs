@@ -153,7 +153,6 @@ impl Prepared {
         mut taken: impl FnMut(&[Record]) -> bool,
     ) -> Result<()> {
         let Image { surfaces, views, near, size, samples } = *image;
-        let scale = samples as f64;
         self.used = 0;
         self.starts.clear();
         if self.screens.len() < surfaces.len() {
@@ -162,10 +161,7 @@ impl Prepared {
         let mut start = 0;
         for ((surface, view), screen) in surfaces.iter().zip(views).zip(&mut self.screens) {
             screen.project(surface.model, view, near)?;
-            let Screen { u, v, z, .. } = &*screen;
-            self.points.clear();
-            let points = u.iter().zip(v).zip(z);
-            self.points.extend(points.map(|((u, v), z)| [u * scale, v * scale, 1.0 / z]));
+            place(screen, samples as f64, &mut self.points);
             self.starts.push(start);
             for faces in screen.faces(surface.model).chunks(GROUP) {
                 let out = (&mut self.records, &mut self.used);
@@ -229,6 +225,28 @@ impl Default for Corners {
 }
 
 impl Corners {
+    /// The corners of up to [`LANES`] faces.
+    #[inline(always)]
+    fn gather(&mut self, points: &[[f64; 3]], faces: &[[u32; 3]]) {
+        let (fours, rest) = faces.as_chunks::<4>();
+        for (four, faces) in fours.iter().enumerate() {
+            for c in 0..3 {
+                // Stored four at a time.
+                let [p, q, r, s] = faces.map(|face| points[face[c] as usize]);
+                for (axis, out) in [&mut self.u, &mut self.v, &mut self.w].into_iter().enumerate() {
+                    out[c][4 * four..4 * four + 4]
+                        .copy_from_slice(&[p[axis], q[axis], r[axis], s[axis]]);
+                }
+            }
+        }
+        for (k, face) in rest.iter().enumerate() {
+            for c in 0..3 {
+                let at = 4 * fours.len() + k;
+                [self.u[c][at], self.v[c][at], self.w[c][at]] = points[face[c] as usize];
+            }
+        }
+    }
+
     /// Exchange two corners where `a` comes after `b`.
     #[expect(clippy::float_cmp, reason = "an order of exact places")]
     #[inline(always)]
@@ -334,6 +352,16 @@ fn whole(x: f64) -> i32 {
     (x + 4_503_599_627_370_496.0).to_bits() as i32
 }
 
+/// The points of a screen in samples, and `1/z`.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+fn place(screen: &Screen, scale: f64, out: &mut Vec<[f64; 3]>) {
+    let Screen { u, v, z, .. } = screen;
+    out.resize(u.len(), [0.0; 3]);
+    for (((out, u), v), z) in out.iter_mut().zip(u).zip(v).zip(z) {
+        *out = [u * scale, v * scale, 1.0 / z];
+    }
+}
+
 /// Append those that are left after `start` earlier ones.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 fn set_up(
@@ -346,14 +374,7 @@ fn set_up(
 ) {
     let mut first = start + 1;
     for faces in faces.chunks(LANES) {
-        for (k, face) in faces.iter().enumerate() {
-            for c in 0..3 {
-                let [u, v, w] = points[face[c] as usize];
-                corners.u[c][k] = u;
-                corners.v[c][k] = v;
-                corners.w[c][k] = w;
-            }
-        }
+        corners.gather(points, faces);
         corners.sort(0, 1);
         corners.sort(1, 2);
         corners.sort(0, 1);
