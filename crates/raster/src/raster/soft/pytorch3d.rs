@@ -9,6 +9,9 @@
 
 use std::cell::RefCell;
 
+use multiversion::multiversion;
+
+use super::real::{LANES, Real};
 use crate::raster::{Model, Pixel, Pytorch3dCutoff, Screen, Size};
 
 /// Side of the squares for which candidates are listed, in pixels.
@@ -25,6 +28,17 @@ struct Candidate {
     low: [f64; 2],
     high: [f64; 2],
     index: u32,
+}
+
+/// Sixteen candidates; those beyond the last one are nowhere.
+#[derive(Debug)]
+struct Group {
+    corners: [[[f64; LANES]; 2]; 3],
+    depth: [[f64; LANES]; 3],
+    area: [f64; LANES],
+    low: [[f64; LANES]; 2],
+    high: [[f64; LANES]; 2],
+    index: [u32; LANES],
 }
 
 /// A face at a pixel.
@@ -45,7 +59,7 @@ struct Hit {
 struct Scratch {
     all: Vec<Candidate>,
     strip: Vec<Candidate>,
-    square: Vec<Candidate>,
+    square: Vec<Group>,
     hits: Vec<Hit>,
 }
 
@@ -156,7 +170,14 @@ fn each_pixel(
             for left in (0..width).step_by(SQUARE) {
                 let right = (left + SQUARE).min(width);
                 square.clear();
-                square.extend(strip.iter().filter(near(0, left, right)));
+                for (k, face) in strip.iter().filter(near(0, left, right)).enumerate() {
+                    if k % LANES == 0 {
+                        square.push(Group::EMPTY);
+                    }
+                    if let Some(group) = square.last_mut() {
+                        group.set(k % LANES, face);
+                    }
+                }
                 if square.is_empty() {
                     continue;
                 }
@@ -164,7 +185,9 @@ fn each_pixel(
                     for column in left..right {
                         let pixel = [place(0, column), place(1, row)];
                         hits.clear();
-                        hits.extend(square.iter().filter_map(|f| hit(f, pixel, sigma, cutoff)));
+                        for group in &*square {
+                            meet(group, pixel, (sigma, cutoff.blur_radius), hits);
+                        }
                         keep_nearest(hits, cutoff.faces_per_pixel);
                         if !hits.is_empty() {
                             work(row * width + column, hits);
@@ -179,51 +202,131 @@ fn each_pixel(
 /// Keep the `count` nearest to the camera, the first of equal ones.
 fn keep_nearest(hits: &mut Vec<Hit>, count: usize) {
     if hits.len() > count {
-        hits.sort_unstable_by(|a, b| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index)));
+        let nearer = |a: &Hit, b: &Hit| a.depth.total_cmp(&b.depth).then(a.index.cmp(&b.index));
+        hits.select_nth_unstable_by(count, nearer);
         hits.truncate(count);
     }
 }
 
 /// `(p - a) x (b - a)`.
+#[inline(always)]
 fn edge(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     (p[0] - a[0]) * (b[1] - a[1]) - (p[1] - a[1]) * (b[0] - a[0])
 }
 
-/// A face at a pixel, if it counts there.
-fn hit(face: &Candidate, pixel: [f64; 2], sigma: f64, cutoff: Pytorch3dCutoff) -> Option<Hit> {
-    let within = |axis: usize| face.low[axis] <= pixel[axis] && pixel[axis] <= face.high[axis];
-    if !(within(0) && within(1)) {
-        return None;
+impl Group {
+    const EMPTY: Self = Self {
+        corners: [[[0.0; LANES]; 2]; 3],
+        depth: [[1.0; LANES]; 3],
+        area: [1.0; LANES],
+        low: [[f64::INFINITY; LANES]; 2],
+        high: [[f64::NEG_INFINITY; LANES]; 2],
+        index: [0; LANES],
+    };
+
+    fn set(&mut self, l: usize, face: &Candidate) {
+        for k in 0..3 {
+            for axis in 0..2 {
+                self.corners[k][axis][l] = face.corners[k][axis];
+            }
+            self.depth[k][l] = face.depth[k];
+        }
+        for axis in 0..2 {
+            (self.low[axis][l], self.high[axis][l]) = (face.low[axis], face.high[axis]);
+        }
+        (self.area[l], self.index[l]) = (face.area, face.index);
     }
-    let (c, z) = (&face.corners, &face.depth);
-    // In the order of the original: at a corner the depth has to be that of the corner exactly,
-    // or the faces around it would not tie.
-    let weight = |k: usize| edge(pixel, c[(k + 1) % 3], c[(k + 2) % 3]) / (face.area + EPSILON);
-    let w = [weight(0) * z[1] * z[2], weight(1) * z[0] * z[2], weight(2) * z[0] * z[1]];
-    let sum = (w[0] + w[1] + w[2]).max(EPSILON);
-    let w = w.map(|w| w / sum);
-    let inside = w.iter().all(|&w| w > 0.0);
-    let w = w.map(|w| w.max(0.0));
-    let sum = (w[0] + w[1] + w[2]).max(1e-5);
-    let w = w.map(|w| w / sum);
-    let depth = w[0] * z[0] + w[1] * z[1] + w[2] * z[2];
-    let mut squared = f64::INFINITY;
-    let (mut way, mut nearest, mut at) = ([0.0; 2], 0, 0.0);
-    for k in 0..3 {
-        let (a, b) = (c[k], c[(k + 1) % 3]);
-        let d = [b[0] - a[0], b[1] - a[1]];
-        let length = d[0] * d[0] + d[1] * d[1];
-        let s = (pixel[0] - a[0]) * d[0] + (pixel[1] - a[1]) * d[1];
-        let s = if length > 0.0 { (s / length).clamp(0.0, 1.0) } else { 0.0 };
-        let q = [a[0] + s * d[0] - pixel[0], a[1] + s * d[1] - pixel[1]];
-        let d2 = q[0] * q[0] + q[1] * q[1];
-        if d2 < squared {
-            (squared, way, nearest, at) = (d2, q, k, s);
+}
+
+/// What is found out about a group at a pixel.
+struct Found {
+    counts: [bool; LANES],
+    depth: [f64; LANES],
+    x: [f64; LANES],
+    way: [[f64; LANES]; 2],
+    nearest: [f64; LANES],
+    s: [f64; LANES],
+}
+
+/// Add the faces of a group that count at a pixel.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+fn meet(group: &Group, pixel: [f64; 2], (sigma, radius): (f64, f64), hits: &mut Vec<Hit>) {
+    let none = [0.0; LANES];
+    let mut found = Found {
+        counts: [false; LANES],
+        depth: none,
+        x: none,
+        way: [none; 2],
+        nearest: none,
+        s: none,
+    };
+    let mut any = false;
+    for l in 0..LANES {
+        let within = (group.low[0][l] <= pixel[0])
+            & (pixel[0] <= group.high[0][l])
+            & (group.low[1][l] <= pixel[1])
+            & (pixel[1] <= group.high[1][l]);
+        found.counts[l] = within;
+        any |= within;
+    }
+    if !any {
+        return;
+    }
+    for l in 0..LANES {
+        let c = [0, 1, 2].map(|k| [group.corners[k][0][l], group.corners[k][1][l]]);
+        let z = [0, 1, 2].map(|k| group.depth[k][l]);
+        // In the order of the original: at a corner the depth has to be that of the corner exactly,
+        // or the faces around it would not tie.
+        let area = group.area[l] + EPSILON;
+        let w0 = edge(pixel, c[1], c[2]) / area * z[1] * z[2];
+        let w1 = edge(pixel, c[2], c[0]) / area * z[0] * z[2];
+        let w2 = edge(pixel, c[0], c[1]) / area * z[0] * z[1];
+        let sum = (w0 + w1 + w2).most(EPSILON);
+        let (w0, w1, w2) = (w0 / sum, w1 / sum, w2 / sum);
+        let inside = (w0 > 0.0) & (w1 > 0.0) & (w2 > 0.0);
+        let (w0, w1, w2) = (w0.most(0.0), w1.most(0.0), w2.most(0.0));
+        let sum = (w0 + w1 + w2).most(1e-5);
+        let (w0, w1, w2) = (w0 / sum, w1 / sum, w2 / sum);
+        let depth = w0 * z[0] + w1 * z[1] + w2 * z[2];
+        let (q0, s0, d0) = towards(pixel, c[0], c[1]);
+        let (q1, s1, d1) = towards(pixel, c[1], c[2]);
+        let (q2, s2, d2) = towards(pixel, c[2], c[0]);
+        let second = d1 < d0;
+        let (q, s, squared) = if second { (q1, s1, d1) } else { (q0, s0, d0) };
+        let third = d2 < squared;
+        let nearest = if second { 1.0 } else { 0.0 };
+        let nearest = if third { 2.0 } else { nearest };
+        let squared = if third { d2 } else { squared };
+        found.s[l] = if third { s2 } else { s };
+        found.way[0][l] = if third { q2[0] } else { q[0] };
+        found.way[1][l] = if third { q2[1] } else { q[1] };
+        found.nearest[l] = nearest;
+        found.counts[l] &= (inside | (squared < radius)) & !(depth < 0.0);
+        found.depth[l] = depth;
+        found.x[l] = if inside { squared } else { -squared } / sigma;
+    }
+    for l in 0..LANES {
+        if found.counts[l] {
+            hits.push(Hit {
+                depth: found.depth[l],
+                index: group.index[l],
+                x: found.x[l],
+                way: [found.way[0][l], found.way[1][l]],
+                edge: found.nearest[l] as usize,
+                s: found.s[l],
+            });
         }
     }
-    if !(inside || squared < cutoff.blur_radius) || depth < 0.0 {
-        return None;
-    }
-    let x = if inside { squared } else { -squared } / sigma;
-    Some(Hit { depth, index: face.index, x, way, edge: nearest, s: at })
+}
+
+/// The nearest point of an edge: from the pixel, where on the edge, and its squared distance.
+#[inline(always)]
+fn towards(pixel: [f64; 2], a: [f64; 2], b: [f64; 2]) -> ([f64; 2], f64, f64) {
+    let d = [b[0] - a[0], b[1] - a[1]];
+    let length = d[0] * d[0] + d[1] * d[1];
+    let s = (pixel[0] - a[0]) * d[0] + (pixel[1] - a[1]) * d[1];
+    let s = (s / if length > 0.0 { length } else { 1.0 }).most(0.0).least(1.0);
+    let s = if length > 0.0 { s } else { 0.0 };
+    let q = [a[0] + s * d[0] - pixel[0], a[1] + s * d[1] - pixel[1]];
+    (q, s, q[0] * q[0] + q[1] * q[1])
 }
