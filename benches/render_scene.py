@@ -1,5 +1,6 @@
 """What `bench_render.py` draws, how it is checked, and the clock."""
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ Array = np.ndarray
 FOV_FOCAL = 252.72 / 240.0
 SIGMA_NDC = 1e-4
 KAOLIN = "dibr, Kaolin's cut-offs"
+PYTORCH3D = "sigmoid, PyTorch3D's cut-offs"
 
 
 def default_mesh() -> Path:
@@ -147,4 +149,9 @@ MODES: dict[str, dict[str, Any]] = {
     "dibr": {"mode": "dibr"},
     KAOLIN: {"mode": "dibr", "kaolin_cutoff": (0.02, 30)},
     "sigmoid": {"mode": "sigmoid", "sigma_ndc": SIGMA_NDC},
+    PYTORCH3D: {
+        "mode": "sigmoid",
+        "sigma_ndc": SIGMA_NDC,
+        "pytorch3d_cutoff": (math.log(1 / 1e-4 - 1) * SIGMA_NDC, 50),
+    },
 }

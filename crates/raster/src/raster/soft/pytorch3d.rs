@@ -301,7 +301,7 @@ fn meet(group: &Group, pixel: [f64; 2], (sigma, radius): (f64, f64), hits: &mut 
         found.way[0][l] = if third { q2[0] } else { q[0] };
         found.way[1][l] = if third { q2[1] } else { q[1] };
         found.nearest[l] = nearest;
-        found.counts[l] &= (inside | (squared < radius)) & !(depth < 0.0);
+        found.counts[l] &= (inside | (squared < radius)) & (depth >= 0.0);
         found.depth[l] = depth;
         found.x[l] = if inside { squared } else { -squared } / sigma;
     }
