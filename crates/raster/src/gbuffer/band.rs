@@ -310,8 +310,23 @@ mod tests {
     proptest! {
         #[test]
         fn every_instruction_set_draws_the_same_bits(
-            triangles in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-1.0..1.0_f64)), 1..20)
+            // Where, how large (some are less than four columns wide), and which shape.
+            triangles in prop::collection::vec(
+                (
+                    prop::array::uniform3(-1.0..1.0_f64),
+                    0.02..1.0_f64,
+                    prop::array::uniform3(prop::array::uniform3(-1.0..1.0_f64)),
+                ),
+                1..20,
+            )
         ) {
+            let triangles: Vec<[[f64; 3]; 3]> = triangles
+                .iter()
+                .map(|(middle, size, shape)| {
+                    let size = if *size < 0.5 { 0.4 * size } else { *size };
+                    shape.map(|corner| [0, 1, 2].map(|k| 0.6 * middle[k] + 0.4 * size * corner[k]))
+                })
+                .collect();
             let faces: Vec<[u32; 3]> =
                 (0..triangles.len() as u32).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
             let model = Model::new(triangles.as_flattened(), &faces).expect("valid");

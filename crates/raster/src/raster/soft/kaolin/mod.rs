@@ -38,7 +38,8 @@ impl<'a, 'b> Boxes<'a, 'b> {
         Self { source, points, most }
     }
 
-    /// List the tiles in use that the boxes of a block meet, one face after another.
+    /// List the tiles in use that the boxes of a block meet, one face after another; how many they
+    /// are. What follows them in the list is of no account.
     #[inline(always)]
     fn list<R: Real>(
         &self,
@@ -46,7 +47,7 @@ impl<'a, 'b> Boxes<'a, 'b> {
         faces: &[[u32; 3]],
         tiles: &Tiles<R>,
         list: &mut Vec<Met>,
-    ) {
+    ) -> usize {
         let mut count = 0;
         let Rectangle { first, count: [across, down] } = tiles.rectangle;
         let [x, y] = first.map(|tile| (SIDE * tile) as i32);
@@ -83,7 +84,7 @@ impl<'a, 'b> Boxes<'a, 'b> {
                 }
             }
         }
-        list.truncate(count);
+        count
     }
 }
 
@@ -195,8 +196,8 @@ fn draw_all<R: Real, const FMA: bool>(boxes: Boxes<'_, '_>, tiles: &mut Tiles<R>
     let mut first = 0;
     while first < faces.len() {
         let count = block.load(boxes.source, first, true);
-        boxes.list(&block, &faces[first..first + count], tiles, &mut list);
-        for tile in &list {
+        let met = boxes.list(&block, &faces[first..first + count], tiles, &mut list);
+        for tile in &list[..met] {
             let [column, row, at] = [tile.column, tile.row, tile.at].map(|n| n as usize);
             let (lane, edge) = (tile.lane as usize, tile.edge as usize);
             let met = &mut tiles.met[at];
@@ -228,8 +229,8 @@ fn back_all<R: Real, const FMA: bool>(
     let mut first = 0;
     while first < faces.len() {
         let count = block.load(boxes.source, first, true);
-        boxes.list(&block, &faces[first..first + count], tiles, &mut list);
-        let mut rest = &list[..];
+        let met = boxes.list(&block, &faces[first..first + count], tiles, &mut list);
+        let mut rest = &list[..met];
         for lane in 0..count {
             let mut sums = [[[R::ZERO; LANES]; 4]; 4];
             let mut any = false;
