@@ -29,6 +29,12 @@ MODES = [
 ]
 
 
+def drone(shared, path):
+    if path.endswith(".dae"):
+        pytest.importorskip("collada", reason="pycollada is not installed")
+    return Mesh.from_file(shared(f"data/drones/{path}"), DRONES[path])
+
+
 def views(mesh, rng):
     """Whole in the image, partly outside, and cut by the near plane."""
     middle, size = mesh.bounds.mean(axis=0), mesh.bbox_diagonal
@@ -40,9 +46,7 @@ def views(mesh, rng):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", DRONES, ids=lambda p: p.split("/")[-1])
 def test_the_area_is_that_of_the_union(shared, path):
-    if path.endswith(".dae"):
-        pytest.importorskip("collada", reason="pycollada is not installed")
-    mesh = Mesh.from_file(shared(f"data/drones/{path}"), DRONES[path])
+    mesh = drone(shared, path)
     rng = np.random.default_rng(len(path))
     R, t, near = views(mesh, rng)
     masks = render.silhouette(mesh, CAMERA, R, t, near=near, dtype=np.float64)
@@ -56,9 +60,7 @@ def test_the_area_is_that_of_the_union(shared, path):
 @pytest.mark.slow
 @pytest.mark.parametrize("path", DRONES, ids=lambda p: p.split("/")[-1])
 def test_masks_and_gradients_are_finite(shared, path):
-    if path.endswith(".dae"):
-        pytest.importorskip("collada", reason="pycollada is not installed")
-    mesh = Mesh.from_file(shared(f"data/drones/{path}"), DRONES[path])
+    mesh = drone(shared, path)
     rng = np.random.default_rng(7)
     R, t, near = views(mesh, rng)
     upstream = rng.normal(size=(4, CAMERA.height, CAMERA.width))
@@ -74,9 +76,7 @@ def test_masks_and_gradients_are_finite(shared, path):
 @pytest.mark.parametrize("options", [o for o in MODES if o["mode"] != "hard"], ids=scenes.name)
 @pytest.mark.parametrize("path", DRONES, ids=lambda p: p.split("/")[-1])
 def test_gradients_are_difference_quotients(shared, path, options):
-    if path.endswith(".dae"):
-        pytest.importorskip("collada", reason="pycollada is not installed")
-    mesh = Mesh.from_file(shared(f"data/drones/{path}"), DRONES[path])
+    mesh = drone(shared, path)
     rng = np.random.default_rng(11)
     R, t, near = views(mesh, rng)
     upstream = rng.normal(size=(4, CAMERA.height, CAMERA.width))

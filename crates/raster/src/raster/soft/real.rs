@@ -72,7 +72,7 @@ pub(super) trait Real:
 
 /// Adding it rounds to an integer, which is in the low bits then: 1.5 * 2^23 and 1.5 * 2^52.
 const ROUND_SINGLE: f32 = 12_582_912.0;
-const ROUND_DOUBLE: f64 = 6_755_399_441_055_744.0;
+pub(super) const ROUND_DOUBLE: f64 = 6_755_399_441_055_744.0;
 
 thread_local! {
     static SINGLE: RefCell<Scratch<f32>> = RefCell::default();

@@ -2,14 +2,11 @@
 
 use multiversion::multiversion;
 
-use super::super::real::LANES;
+use super::super::real::{LANES, ROUND_DOUBLE};
 use crate::raster::{Screen, Size};
 
 /// What `DIBRenderer` multiplies coordinates by.
 const MULTIPLIER: f64 = 1000.0;
-
-/// Adding it rounds to an integer, which is in the low bits then.
-const ROUND: f64 = 1.5 * (1_u64 << 52) as f64;
 
 /// Where the pixel centres of a bounding box begin and end: first column, first row, and the
 /// column and the row after the last, these two negative: the bounds of a face are the least ones
@@ -130,14 +127,14 @@ fn guess(place: f64, side: f64) -> f64 {
     let pixel = (place * (0.5 / MULTIPLIER) + 0.5) * side + 0.5;
     let pixel = if pixel > 0.0 { pixel } else { 0.0 };
     let pixel = if pixel < side { pixel } else { side };
-    let rounded = (pixel + ROUND) - ROUND;
+    let rounded = (pixel + ROUND_DOUBLE) - ROUND_DOUBLE;
     rounded - if rounded > pixel { 1.0 } else { 0.0 }
 }
 
 #[inline(always)]
 fn whole(k: f64, less: bool, more: bool) -> i32 {
     let k = k - if less { 1.0 } else { 0.0 } + if more { 1.0 } else { 0.0 };
-    (k + ROUND).to_bits() as i32
+    (k + ROUND_DOUBLE).to_bits() as i32
 }
 
 #[cfg(test)]
