@@ -4,61 +4,13 @@ use super::setup::{Record, Sides};
 use std::arch::x86_64::{
     __m128i, __m256d, __m256i, __m512d, _CMP_GE_OQ, _CMP_GT_OQ, _CMP_LT_OQ, _mm_cvtsd_f64,
     _mm_extract_epi32, _mm_setr_epi32, _mm_unpackhi_pd, _mm256_castpd256_pd128,
-    _mm256_castsi256_si128, _mm256_extract_epi32, _mm256_extractf128_pd, _mm256_extracti128_si256,
-    _mm256_mask_mov_epi32, _mm256_set_m128i, _mm256_set1_epi32, _mm256_setr_epi32, _mm256_setr_pd,
-    _mm512_add_pd, _mm512_castpd256_pd512, _mm512_castpd512_pd256, _mm512_cmp_pd_mask,
-    _mm512_extractf64x4_pd, _mm512_insertf64x4, _mm512_mask_cmp_pd_mask, _mm512_mask_mov_pd,
-    _mm512_max_pd, _mm512_min_pd, _mm512_mul_pd, _mm512_set1_pd, _mm512_setr_pd, _mm512_sub_pd,
+    _mm256_castsi256_si128, _mm256_extractf128_pd, _mm256_extracti128_si256, _mm256_mask_mov_epi32,
+    _mm256_set_m128i, _mm256_set1_epi32, _mm256_setr_pd, _mm512_add_pd, _mm512_castpd256_pd512,
+    _mm512_castpd512_pd256, _mm512_cmp_pd_mask, _mm512_extractf64x4_pd, _mm512_insertf64x4,
+    _mm512_mask_cmp_pd_mask, _mm512_mask_mov_pd, _mm512_max_pd, _mm512_min_pd, _mm512_mul_pd,
+    _mm512_set1_pd, _mm512_setr_pd, _mm512_sub_pd,
 };
-/// One load.
-#[inline]
-#[target_feature(enable = "avx512f,avx512vl")]
-fn load(r: &[f64; 8]) -> __m512d {
-    _mm512_setr_pd(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7])
-}
-/// One store.
-#[inline]
-#[target_feature(enable = "avx512f,avx512vl")]
-fn store(w: __m512d, out: &mut [f64; 8]) {
-    let (low, high) = (_mm512_castpd512_pd256(w), _mm512_extractf64x4_pd::<1>(w));
-    let pairs = [
-        _mm256_castpd256_pd128(low),
-        _mm256_extractf128_pd::<1>(low),
-        _mm256_castpd256_pd128(high),
-        _mm256_extractf128_pd::<1>(high),
-    ];
-    *out = [
-        _mm_cvtsd_f64(pairs[0]),
-        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[0], pairs[0])),
-        _mm_cvtsd_f64(pairs[1]),
-        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[1], pairs[1])),
-        _mm_cvtsd_f64(pairs[2]),
-        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[2], pairs[2])),
-        _mm_cvtsd_f64(pairs[3]),
-        _mm_cvtsd_f64(_mm_unpackhi_pd(pairs[3], pairs[3])),
-    ];
-}
-#[inline]
-#[target_feature(enable = "avx512f,avx512vl")]
-fn load_ids(r: &[u32; 8]) -> __m256i {
-    let r = r.map(u32::cast_signed);
-    _mm256_setr_epi32(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7])
-}
-#[inline]
-#[target_feature(enable = "avx512f,avx512vl")]
-fn store_ids(w: __m256i, out: &mut [u32; 8]) {
-    *out = [
-        _mm256_extract_epi32::<0>(w),
-        _mm256_extract_epi32::<1>(w),
-        _mm256_extract_epi32::<2>(w),
-        _mm256_extract_epi32::<3>(w),
-        _mm256_extract_epi32::<4>(w),
-        _mm256_extract_epi32::<5>(w),
-        _mm256_extract_epi32::<6>(w),
-        _mm256_extract_epi32::<7>(w),
-    ]
-    .map(i32::cast_unsigned);
-}
+
 /// Draw the rows of a record into planes that begin at its first row and column, bit for bit as the
 /// plain loop does: eight samples of a row a step, or four of two rows. The planes have a row more
 /// than there is to draw.
@@ -110,30 +62,25 @@ fn draw_narrow(
         let w = _mm512_min_pd(_mm512_max_pd(w, low), high);
         let Some((upper, lower)) = two(nearness, start, stride) else { return };
         let Some((upper_ids, lower_ids)) = two(ids, start, stride) else { return };
-        let old = _mm512_castpd256_pd512(load_four(upper));
-        let old = _mm512_insertf64x4::<1>(old, load_four(lower));
-        let old_ids = _mm256_set_m128i(load_four_ids(lower_ids), load_four_ids(upper_ids));
+        let old = load(upper, lower);
         let seen = _mm512_mask_cmp_pd_mask::<_CMP_LT_OQ>(within, y, all(f64::from(end)));
         let side = |du: f64, y| _mm512_mul_pd(all(du), y);
         let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, side(record.du[0], y0), a);
         let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, side(record.du[1], y0), b);
         let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, side(record.du[2], y1), c);
         let seen = _mm512_mask_cmp_pd_mask::<_CMP_GT_OQ>(seen, w, old);
-        let new = _mm512_mask_mov_pd(old, seen, w);
-        store_four(_mm512_castpd512_pd256(new), upper);
-        store_four(_mm512_extractf64x4_pd::<1>(new), lower);
-        let new_ids = _mm256_mask_mov_epi32(old_ids, seen, id);
-        store_four_ids(_mm256_castsi256_si128(new_ids), upper_ids);
-        store_four_ids(_mm256_extracti128_si256::<1>(new_ids), lower_ids);
+        store(_mm512_mask_mov_pd(old, seen, w), upper, lower);
+        let old_ids = load_ids(upper_ids, lower_ids);
+        store_ids(_mm256_mask_mov_epi32(old_ids, seen, id), upper_ids, lower_ids);
         start += 2 * stride;
         row += 2;
     }
 }
 
-/// Four samples of two rows.
+/// Four samples, and four that begin `step` further on.
 #[inline]
-fn two<T>(plane: &mut [T], start: usize, stride: usize) -> Option<(&mut [T; 4], &mut [T; 4])> {
-    let (upper, lower) = plane.get_mut(start..)?.split_at_mut_checked(stride)?;
+fn two<T>(plane: &mut [T], start: usize, step: usize) -> Option<(&mut [T; 4], &mut [T; 4])> {
+    let (upper, lower) = plane.get_mut(start..)?.split_at_mut_checked(step)?;
     Some((upper.first_chunk_mut()?, lower.first_chunk_mut()?))
 }
 
@@ -174,6 +121,32 @@ fn store_four_ids(w: __m128i, out: &mut [u32; 4]) {
     .map(i32::cast_unsigned);
 }
 
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn load(first: &[f64; 4], second: &[f64; 4]) -> __m512d {
+    _mm512_insertf64x4::<1>(_mm512_castpd256_pd512(load_four(first)), load_four(second))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn store(w: __m512d, first: &mut [f64; 4], second: &mut [f64; 4]) {
+    store_four(_mm512_castpd512_pd256(w), first);
+    store_four(_mm512_extractf64x4_pd::<1>(w), second);
+}
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn load_ids(first: &[u32; 4], second: &[u32; 4]) -> __m256i {
+    _mm256_set_m128i(load_four_ids(second), load_four_ids(first))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl")]
+fn store_ids(w: __m256i, first: &mut [u32; 4], second: &mut [u32; 4]) {
+    store_four_ids(_mm256_castsi256_si128(w), first);
+    store_four_ids(_mm256_extracti128_si256::<1>(w), second);
+}
+
 /// Eight columns a step.
 #[inline]
 #[target_feature(enable = "avx512f,avx512vl")]
@@ -205,15 +178,16 @@ fn draw_wide(
             let w = _mm512_add_pd(base, all(side[3]));
             let w = _mm512_min_pd(_mm512_max_pd(w, low), high);
             // Rows have room for the lanes beyond their last column.
-            let Some(out) = nearness[start..].first_chunk_mut::<8>() else { return };
-            let Some(out_ids) = ids[start..].first_chunk_mut::<8>() else { return };
-            let old = load(out);
+            let Some((near, far)) = two(nearness, start, 4) else { return };
+            let Some((near_ids, far_ids)) = two(ids, start, 4) else { return };
+            let old = load(near, far);
             let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(inside, all(side[0]), a);
             let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, all(side[1]), b);
             let seen = _mm512_mask_cmp_pd_mask::<_CMP_GE_OQ>(seen, all(side[2]), c);
             let seen = _mm512_mask_cmp_pd_mask::<_CMP_GT_OQ>(seen, w, old);
-            store(_mm512_mask_mov_pd(old, seen, w), out);
-            store_ids(_mm256_mask_mov_epi32(load_ids(out_ids), seen, id), out_ids);
+            store(_mm512_mask_mov_pd(old, seen, w), near, far);
+            let old_ids = load_ids(near_ids, far_ids);
+            store_ids(_mm256_mask_mov_epi32(old_ids, seen, id), near_ids, far_ids);
             start += stride;
         }
         column += 8;
