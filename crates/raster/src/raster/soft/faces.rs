@@ -11,26 +11,25 @@ const FLAT: f64 = 1e-12;
 /// Faces whose corners are further out than so many times the image are cut to its surroundings.
 const FAR: f64 = 1.5;
 
-/// An edge in each lane, in widths from the face's [origin](Block::x). With `d` the way from there
-/// to a pixel, the pixel is at `along = e.d + along0` from the middle of the edge, and at
-/// `across = e x d + across0` from its line, inwards positive. `e` is a unit vector.
+/// Edge `k` of face `l` at `[k][l]`, in widths from the face's [origin](Block). With `d` the way
+/// from there to a pixel, the pixel is at `along = e.d + along0` from the middle of the edge, and at
+/// `across = e x d + across0` from its line, inwards positive. `e` is a unit vector. The fourth edge
+/// is nothing: it spares checks of an index.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Edges<R> {
-    pub(super) x: [R; LANES],
-    pub(super) y: [R; LANES],
-    pub(super) along: [R; LANES],
-    pub(super) across: [R; LANES],
+    pub(super) x: [[R; LANES]; 4],
+    pub(super) y: [[R; LANES]; 4],
+    pub(super) along: [[R; LANES]; 4],
+    pub(super) across: [[R; LANES]; 4],
     /// Half the length.
-    pub(super) half: [R; LANES],
+    pub(super) half: [[R; LANES]; 4],
 }
 
-/// Sixteen faces. Edge `k` runs from corner `k` to the next, the corners positively oriented.
+/// Sixteen faces. Edge `k` runs from corner `k` to the next, the corners positively oriented. The
+/// origin of a face is the first pixel centre of the first tile within its reach.
 #[derive(Debug)]
 pub(super) struct Block<R> {
-    pub(super) x: [R; LANES],
-    pub(super) y: [R; LANES],
-    /// The fourth is nothing: it spares a check of the index.
-    pub(super) edges: [Edges<R>; 4],
+    pub(super) edges: Edges<R>,
     /// Tiles within reach: columns `0..1`, rows `2..3`.
     pub(super) tiles: [[i32; LANES]; 4],
     /// Tiles by what is near to them.
@@ -57,12 +56,10 @@ pub(super) struct Source<'a> {
 
 impl<R: Real> Block<R> {
     pub(super) fn new() -> Self {
-        let none = [R::ZERO; LANES];
+        let none = [[R::ZERO; LANES]; 4];
         let edges = Edges { x: none, y: none, along: none, across: none, half: none };
         Self {
-            x: none,
-            y: none,
-            edges: [edges; 4],
+            edges,
             tiles: [[0; LANES]; 4],
             near: Near::new(),
             turned: [false; LANES],
@@ -123,31 +120,6 @@ impl<R: Real> Block<R> {
             let x = ax.abs().most(bx.abs()).most(cx.abs());
             let y = ay.abs().most(by.abs()).most(cy.abs());
             self.far[l] = x.most(y) > limit;
-            self.x[l] = R::of(ax);
-            self.y[l] = R::of(ay);
-        }
-        for k in 0..3 {
-            let [i, j] = [2 * k, 2 * ((k + 1) % 3)];
-            let edges = &mut self.edges[k];
-            self.kept[k] = [[0.0; LANES], [1.0; LANES]];
-            for l in 0..LANES {
-                let (ox, oy) = (self.x[l].wide(), self.y[l].wide());
-                let (px, py) = (R::of(corners[i][l] - ox), R::of(corners[i + 1][l] - oy));
-                let (qx, qy) = (R::of(corners[j][l] - ox), R::of(corners[j + 1][l] - oy));
-                let (dx, dy) = (qx - px, qy - py);
-                let length = (dx * dx + dy * dy).sqrt();
-                let point = length <= R::SAME;
-                let inverse = R::ONE / (if point { R::ONE } else { length });
-                let ex = if point { R::ONE } else { dx * inverse };
-                let ey = if point { R::ZERO } else { dy * inverse };
-                let two = R::ONE + R::ONE;
-                let (mx, my) = ((px + qx) / two, (py + qy) / two);
-                edges.x[l] = ex;
-                edges.y[l] = ey;
-                edges.along[l] = -(ex * mx + ey * my);
-                edges.across[l] = ey * mx - ex * my;
-                edges.half[l] = if point { R::ZERO } else { length / two };
-            }
         }
         // In tiles: the pixel centres of tile `t` are at `t`, .., `t + 3/4`.
         let (mut low, mut high) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
@@ -166,6 +138,34 @@ impl<R: Real> Block<R> {
                 self.tiles[2 * axis + 1][l] = to.most(0.0).least(count).floor_i32();
             }
         }
+        let mut points = [[R::ZERO; LANES]; 6];
+        for (k, point) in points.iter_mut().enumerate() {
+            for l in 0..LANES {
+                point[l] = R::of(corners[k][l] - self.origin(source, l)[k % 2]);
+            }
+        }
+        for k in 0..3 {
+            let [i, j] = [2 * k, 2 * ((k + 1) % 3)];
+            let edges = &mut self.edges;
+            self.kept[k] = [[0.0; LANES], [1.0; LANES]];
+            for l in 0..LANES {
+                let (px, py, qx, qy) =
+                    (points[i][l], points[i + 1][l], points[j][l], points[j + 1][l]);
+                let (dx, dy) = (qx - px, qy - py);
+                let length = (dx * dx + dy * dy).sqrt();
+                let point = length <= R::SAME;
+                let inverse = R::ONE / (if point { R::ONE } else { length });
+                let ex = if point { R::ONE } else { dx * inverse };
+                let ey = if point { R::ZERO } else { dy * inverse };
+                let two = R::ONE + R::ONE;
+                let (mx, my) = ((px + qx) / two, (py + qy) / two);
+                edges.x[k][l] = ex;
+                edges.y[k][l] = ey;
+                edges.along[k][l] = -(ex * mx + ey * my);
+                edges.across[k][l] = ey * mx - ex * my;
+                edges.half[k][l] = if point { R::ZERO } else { length / two };
+            }
+        }
         // The same from the first tile within reach on, cut where the box is far off.
         for axis in 0..2 {
             for l in 0..LANES {
@@ -176,13 +176,37 @@ impl<R: Real> Block<R> {
         Near::find(self, source, &low, &high, inside);
     }
 
+    /// Where the windows of 8x8 tiles begin, in columns and rows from the first tile within reach of a
+    /// face, that the tiles of the furthest reaching one make: one, but for large faces.
+    #[inline(always)]
+    pub(super) fn windows(&self) -> impl Iterator<Item = [usize; 2]> + use<R> {
+        let [mut columns, mut rows] = [0; 2];
+        for l in 0..LANES {
+            columns = columns.max(self.tiles[1][l] - self.tiles[0][l]);
+            rows = rows.max(self.tiles[3][l] - self.tiles[2][l]);
+        }
+        let [columns, rows] = [columns.max(0) as usize, rows.max(0) as usize];
+        (0..rows).step_by(8).flat_map(move |row| (0..columns).step_by(8).map(move |c| [c, row]))
+    }
+
+    /// The first pixel centre of the first tile within reach of a face, in widths.
+    #[inline(always)]
+    fn origin(&self, source: &Source<'_>, lane: usize) -> [f64; 2] {
+        let Units { scale, half, .. } = source.units;
+        let at = |axis: usize| {
+            let tile = source.rectangle.first[axis] as f64 + f64::from(self.tiles[2 * axis][lane]);
+            (SIDE as f64 * tile + 0.5 - half[axis]) * scale[axis]
+        };
+        [at(0), at(1)]
+    }
+
     /// Measure a face of which a corner is far away from what is near to the image, where single
     /// precision and the squares of distances are at home.
     #[cold]
     fn cut(&mut self, source: &Source<'_>, lane: usize, corners: &[[f64; LANES]; 6]) {
         let Units { scale, half, reach } = source.units;
         let bounds = [0, 1].map(|axis| half[axis] * scale[axis] + reach + scale[axis]);
-        (self.x[lane], self.y[lane]) = (R::ZERO, R::ZERO);
+        let origin = self.origin(source, lane);
         for k in 0..3 {
             let corner = |k: usize| [corners[2 * (k % 3)][lane], corners[2 * (k % 3) + 1][lane]];
             let (a, b) = (corner(k), corner(k + 1));
@@ -202,9 +226,9 @@ impl<R: Real> Block<R> {
                 from = from.max(p.min(q));
                 to = to.min(p.max(q));
             }
-            let edges = &mut self.edges[k];
-            edges.x[lane] = R::of(e[0]);
-            edges.y[lane] = R::of(e[1]);
+            let edges = &mut self.edges;
+            edges.x[k][lane] = R::of(e[0]);
+            edges.y[k][lane] = R::of(e[1]);
             if from <= to {
                 let point = |s: f64, axis: usize| {
                     // From the nearer end, or a long edge would lose the digits of its far one.
@@ -214,18 +238,18 @@ impl<R: Real> Block<R> {
                 };
                 let p = [point(from, 0), point(from, 1)];
                 let q = [point(to, 0), point(to, 1)];
-                let m = [0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1])];
-                edges.along[lane] = R::of(-(e[0] * m[0] + e[1] * m[1]));
-                edges.across[lane] = R::of(e[1] * m[0] - e[0] * m[1]);
-                edges.half[lane] = R::of(0.5 * (q[0] - p[0]).hypot(q[1] - p[1]));
+                let m = [0.5 * (p[0] + q[0]) - origin[0], 0.5 * (p[1] + q[1]) - origin[1]];
+                edges.along[k][lane] = R::of(-(e[0] * m[0] + e[1] * m[1]));
+                edges.across[k][lane] = R::of(e[1] * m[0] - e[0] * m[1]);
+                edges.half[k][lane] = R::of(0.5 * (q[0] - p[0]).hypot(q[1] - p[1]));
                 (self.kept[k][0][lane], self.kept[k][1][lane]) = (from, to);
             } else {
                 // Out of reach, but its line still says on which side a pixel is.
                 let away = 1e3 * (source.units.extent() + reach);
-                let across = e[1] * a[0] - e[0] * a[1];
-                edges.along[lane] = R::of(away);
-                edges.across[lane] = R::of(across.clamp(-away, away));
-                edges.half[lane] = R::ZERO;
+                let across = e[1] * (a[0] - origin[0]) - e[0] * (a[1] - origin[1]);
+                edges.along[k][lane] = R::of(away);
+                edges.across[k][lane] = R::of(across.clamp(-away, away));
+                edges.half[k][lane] = R::ZERO;
             }
         }
     }

@@ -32,11 +32,13 @@
 
 mod bands;
 mod faces;
+mod items;
 mod kaolin;
 mod kernel;
 mod nearest;
 pub(super) mod pytorch3d;
 mod real;
+mod sums;
 #[cfg(test)]
 mod tests;
 mod tiles;

@@ -180,25 +180,19 @@ impl<R: Real> Strip<R> {
     /// The strip of edge `k` of each face.
     #[inline(always)]
     fn set(&mut self, block: &Block<R>, source: &Source<'_>, k: usize) {
-        let Units { scale, half, .. } = source.units;
-        let edges = &block.edges[k];
+        let Units { scale, .. } = source.units;
+        let edges = &block.edges;
         // Widths in a tile, and from its middle to its last pixel centre.
         let tile = [R::of(SIDE as f64 * scale[0]), R::of(SIDE as f64 * scale[1])];
         let out = 0.5 * LAST * SIDE as f64;
         let radius = [R::of(out * scale[0]), R::of(out * scale[1])];
         let (level, margin) = (R::of(LEVEL), R::of(MARGIN));
-        let middle =
-            |axis: usize| (source.rectangle.first[axis] * SIDE + SIDE / 2) as f64 - half[axis];
-        let middle = [middle(0), middle(1)];
         for l in 0..LANES {
-            let x = middle[0] + SIDE as f64 * f64::from(block.tiles[0][l]);
-            let y = middle[1] + SIDE as f64 * f64::from(block.tiles[2][l]);
-            let x = R::of(x * scale[0] - block.x[l].wide());
-            let y = R::of(y * scale[1] - block.y[l].wide());
-            let (ex, ey) = (edges.x[l], edges.y[l]);
-            let along = ex * x + ey * y + edges.along[l];
-            let across = ex * y - ey * x + edges.across[l];
-            let wide = edges.half[l] + ex.abs() * radius[0] + ey.abs() * radius[1] + margin;
+            let (ex, ey) = (edges.x[k][l], edges.y[k][l]);
+            // Of the middle of the first tile.
+            let along = ex * radius[0] + ey * radius[1] + edges.along[k][l];
+            let across = ex * radius[1] - ey * radius[0] + edges.across[k][l];
+            let wide = edges.half[k][l] + ex.abs() * radius[0] + ey.abs() * radius[1] + margin;
             let thick = ey.abs() * radius[0] + ex.abs() * radius[1] + margin;
             // |along + (row, column) part| <= wide, solved for the column.
             let step = ex * tile[0];

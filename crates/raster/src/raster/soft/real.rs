@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::bands::Scratch;
-use super::kernel::{self, Sums};
+use super::sums::{self, Edges, Totals};
 use crate::raster::spare::Spare;
 
 /// Pixels of a tile: 4 rows of 4.
@@ -55,7 +55,7 @@ pub(super) trait Real:
     /// `2^-self` for `self >= 0`, accurate to a few units of the last place of 1.
     fn exp2_negative<const FMA: bool>(self) -> Self;
     /// Sums over the lanes, in a fixed order.
-    fn totals(sums: &Sums<Self>) -> [Self; 12];
+    fn totals(edges: &Edges<Self>) -> Totals<Self>;
     fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O;
     /// Memory of products that nobody needs any more.
     fn spare() -> &'static Spare<[Self; LANES]>;
@@ -124,8 +124,8 @@ impl Real for f32 {
     const SAME: Self = 1e-15;
     plain!(SINGLE, SPARE_SINGLE, f32);
 
-    fn totals(sums: &Sums<Self>) -> [Self; 12] {
-        kernel::totals_single(sums)
+    fn totals(edges: &Edges<Self>) -> Totals<Self> {
+        sums::totals_single(edges)
     }
 
     #[inline(always)]
@@ -162,8 +162,8 @@ impl Real for f64 {
     const SAME: Self = 1e-120;
     plain!(DOUBLE, SPARE_DOUBLE, f64);
 
-    fn totals(sums: &Sums<Self>) -> [Self; 12] {
-        kernel::totals(sums)
+    fn totals(edges: &Edges<Self>) -> Totals<Self> {
+        sums::totals(edges)
     }
 
     #[inline(always)]

@@ -109,10 +109,7 @@ pub(super) struct Tiles<R> {
     pub(super) list: Vec<Met>,
     /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
     bits: Vec<u8>,
-    /// Pixel centres of the tiles of a column, in widths; and eight columns more.
-    pub(super) x: Vec<[R; LANES]>,
-    /// Pixel centres of the tiles of a row, in widths; and eight rows more.
-    pub(super) y: Vec<[R; LANES]>,
+    pub(super) places: Places<R>,
 }
 
 impl<R: Real> Default for Tiles<R> {
@@ -124,9 +121,61 @@ impl<R: Real> Default for Tiles<R> {
             open: Vec::new(),
             list: Vec::new(),
             bits: Vec::new(),
-            x: Vec::new(),
-            y: Vec::new(),
+            places: Places { x: Vec::new(), y: Vec::new(), count: [0; 2] },
         }
+    }
+}
+
+/// Pixel centres of tiles, in widths from the first pixel centre of another tile.
+#[derive(Debug)]
+pub(super) struct Places<R> {
+    /// Of tiles from `-count` columns away on, up to `count + 7`.
+    x: Vec<[R; LANES]>,
+    /// The same of rows.
+    y: Vec<[R; LANES]>,
+    count: [usize; 2],
+}
+
+/// Those of eight columns and eight rows.
+pub(super) type Window<'a, R> = [&'a [[R; LANES]; 8]; 2];
+
+impl<R: Real> Places<R> {
+    /// For tiles of so many columns and rows.
+    fn lay(&mut self, units: &Units, count: [usize; 2]) {
+        self.count = count;
+        let pixel = |axis: usize, tile: usize, pixel: usize| {
+            let tile = tile as f64 - count[axis] as f64;
+            R::of((SIDE as f64 * tile + pixel as f64) * units.scale[axis])
+        };
+        self.x.clear();
+        self.x.extend(
+            (0..2 * count[0] + 8).map(|tile| -> [R; LANES] {
+                std::array::from_fn(|lane| pixel(0, tile, lane % SIDE))
+            }),
+        );
+        self.y.clear();
+        self.y.extend(
+            (0..2 * count[1] + 8).map(|tile| -> [R; LANES] {
+                std::array::from_fn(|lane| pixel(1, tile, lane / SIDE))
+            }),
+        );
+    }
+
+    /// Of tiles from so many columns to the right and rows down on.
+    #[inline(always)]
+    pub(super) fn window(&self, [right, down]: [usize; 2]) -> Option<Window<'_, R>> {
+        let x = self.x.get(self.count[0] + right..)?.first_chunk()?;
+        let y = self.y.get(self.count[1] + down..)?.first_chunk()?;
+        Some([x, y])
+    }
+
+    /// Of the tile `(column, row)` from another one.
+    #[inline(always)]
+    pub(super) fn from(&self, tile: [u32; 2], origin: [i32; 2]) -> [&[R; LANES]; 2] {
+        let at = |axis: usize| {
+            (tile[axis].cast_signed() - origin[axis]) as isize + self.count[axis] as isize
+        };
+        [&self.x[at(0) as usize], &self.y[at(1) as usize]]
     }
 }
 
@@ -137,19 +186,7 @@ impl<R: Real> Tiles<R> {
     /// Lay tiles over a rectangle.
     pub(super) fn lay(&mut self, units: &Units, rectangle: Rectangle) {
         self.rectangle = rectangle;
-        let Rectangle { first, count } = rectangle;
-        let place = |axis: usize, pixel: usize| {
-            let pixel = (SIDE * first[axis] + pixel) as f64 + 0.5;
-            R::of((pixel - units.half[axis]) * units.scale[axis])
-        };
-        self.x.clear();
-        self.x.extend((0..count[0] + 8).map(|tile| -> [R; LANES] {
-            std::array::from_fn(|lane| place(0, SIDE * tile + lane % SIDE))
-        }));
-        self.y.clear();
-        self.y.extend((0..count[1] + 8).map(|tile| -> [R; LANES] {
-            std::array::from_fn(|lane| place(1, SIDE * tile + lane / SIDE))
-        }));
+        self.places.lay(units, rectangle.count);
     }
 
     /// Every pixel of the image gets `value`, those of the tiles that lie outside of it get 0.
@@ -239,7 +276,7 @@ impl<R: Real> Tiles<R> {
 
     /// The tiles in use among 8x8 from a corner on: bit `8 row + column`.
     #[inline(always)]
-    fn window(&self, column: usize, row: usize) -> u64 {
+    fn eight_by_eight(&self, column: usize, row: usize) -> u64 {
         let stride = self.stride();
         let at = (column / 8) * stride + row;
         let eight = |at: usize| {
@@ -257,7 +294,7 @@ impl<R: Real> Tiles<R> {
     pub(super) fn used(&self, column: usize, row: usize, columns: usize, rows: usize) -> u64 {
         let line = EACH * (0xFF >> (8 - columns.min(8)));
         let block = if rows < 8 { line & ((1 << (8 * rows)) - 1) } else { line };
-        self.window(column, row) & block
+        self.eight_by_eight(column, row) & block
     }
 
     /// The tiles as a mask, `1 - value`, into an image from row `top` on, which is 0 where there are

@@ -19,8 +19,9 @@ pub(super) use self::cover::cover;
 pub(super) use self::points::Points;
 use self::points::of_face;
 use super::faces::{Block, Source};
-use super::kernel::{self, BlockSums, FUSED, Pixels, Sums};
+use super::kernel::{self, FUSED, Pixels};
 use super::real::{LANES, Real};
+use super::sums::Sums;
 use super::tiles::{Rectangle, SIDE, Tiles};
 use crate::raster::KaolinCutoff;
 
@@ -75,9 +76,9 @@ impl<'a, 'b> Boxes<'a, 'b> {
                         let (c, r) = (column + bit % 8, row + bit / 8);
                         let at = r * across + c;
                         let pixels = in_columns[bit % 8] & in_rows[bit / 8 % 8] & tiles.open[at];
-                        let [column, row, at] = [c, r, at].map(|n| n as u32);
-                        let edge = edge_of(one, bit);
-                        list[count] = Met { lane: lane as u32, edge, column, row, at, pixels };
+                        let record = LANES as u32 * edge_of(one, bit) + lane as u32;
+                        let (place, at) = ([c as u32, r as u32], at as u32);
+                        list[count] = Met { record, place, at, pixels };
                         count += usize::from(pixels != 0);
                         used &= used - 1;
                     }
@@ -113,25 +114,24 @@ fn rows_of(from: i32, to: i32) -> [u32; 8] {
     pixels
 }
 
-/// All edges of a face.
-const ALL: u32 = 3;
+/// Records from here on are all edges of a face.
+const ALL: usize = 3 * LANES;
 
-/// The edge that alone gives the distance to a tile, or [`ALL`].
+/// The edge that alone gives the distance to a tile, or 3.
 #[inline(always)]
 fn edge_of(one: [u64; 3], at: usize) -> u32 {
     let [a, b, c] = one.map(|bits| (bits >> at) as u32 & 1);
-    ALL - 3 * a - 2 * b - c
+    3 - 3 * a - 2 * b - c
 }
 
 /// A tile that the box of a face meets.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Met {
-    /// The face in its block.
-    lane: u32,
-    /// The one edge to measure, or [`ALL`].
-    edge: u32,
-    column: u32,
-    row: u32,
+    /// `16 k + lane` for the one edge `k` to measure of a face of the block, with 3 for [`ALL`].
+    record: u32,
+    /// `(column, row)`.
+    place: [u32; 2],
+    /// Among all tiles.
     at: u32,
     /// Those in the box that are not covered, a bit each.
     pixels: u32,
@@ -197,17 +197,17 @@ fn draw_all<R: Real, const FMA: bool>(boxes: Boxes<'_, '_>, tiles: &mut Tiles<R>
     while first < faces.len() {
         let count = block.load(boxes.source, first, true);
         let met = boxes.list(&block, &faces[first..first + count], tiles, &mut list);
+        let Tiles { values, met: counts, places, .. } = &mut *tiles;
         for tile in &list[..met] {
-            let [column, row, at] = [tile.column, tile.row, tile.at].map(|n| n as usize);
-            let (lane, edge) = (tile.lane as usize, tile.edge as usize);
-            let met = &mut tiles.met[at];
+            let (record, at) = (tile.record as usize, tile.at as usize);
+            let lane = record % LANES;
+            let place = places.from(tile.place, [block.tiles[0][lane], block.tiles[2][lane]]);
+            let (values, met) = (&mut values[at], &mut counts[at]);
             let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
-            let values = &mut tiles.values[at];
-            let place = [&tiles.x[column], &tiles.y[row]];
-            if tile.edge == ALL {
+            if record >= ALL {
                 kernel::draw_tile::<R, FMA, false>(&block, lane, place, values, pixels);
             } else {
-                kernel::draw_one::<R, FMA, false>(&block, lane, edge, place, values, pixels);
+                kernel::draw_one::<R, FMA, false>(&block, record, place, values, pixels);
             }
         }
         first += LANES;
@@ -224,41 +224,30 @@ fn back_all<R: Real, const FMA: bool>(
 ) {
     let faces = boxes.source.faces;
     let (mut block, mut list) = (Block::new(), std::mem::take(&mut tiles.list));
-    let mut block_sums = BlockSums::new();
+    let mut sums = Sums::new();
     tiles.meet_nobody();
     let mut first = 0;
     while first < faces.len() {
         let count = block.load(boxes.source, first, true);
         let met = boxes.list(&block, &faces[first..first + count], tiles, &mut list);
-        let mut rest = &list[..met];
-        for lane in 0..count {
-            let mut sums = [[[R::ZERO; LANES]; 4]; 4];
-            let mut any = false;
-            while let Some((tile, others)) = rest.split_first()
-                && tile.lane as usize == lane
-            {
-                (rest, any) = (others, true);
-                let [column, row, at] = [tile.column, tile.row, tile.at].map(|n| n as usize);
-                let met = &mut tiles.met[at];
-                let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
-                let values = &tiles.values[at];
-                let place = [&tiles.x[column], &tiles.y[row]];
-                if tile.edge == ALL {
-                    // A copy whose address nobody takes stays in registers.
-                    let mut local: Sums<R> = [sums[0], sums[1], sums[2]];
-                    kernel::back_tile::<R, FMA, false>(
-                        &block, lane, place, values, &mut local, pixels,
-                    );
-                    (sums[0], sums[1], sums[2]) = (local[0], local[1], local[2]);
-                } else {
-                    let k = tile.edge as usize & 3;
-                    let sums = &mut sums[k];
-                    kernel::back_one::<R, FMA, false>(&block, lane, k, place, values, sums, pixels);
-                }
+        let Tiles { values, met: counts, places, .. } = &mut *tiles;
+        sums.clear();
+        for tile in &list[..met] {
+            let (record, at) = (tile.record as usize, tile.at as usize);
+            let lane = record % LANES;
+            let place = places.from(tile.place, [block.tiles[0][lane], block.tiles[2][lane]]);
+            let (values, met) = (&values[at], &mut counts[at]);
+            let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
+            sums.any[lane] = true;
+            if record >= ALL {
+                let sums = &mut sums.edges;
+                kernel::back_tile::<R, FMA, false>(&block, lane, place, values, sums, pixels);
+            } else {
+                let sums = &mut sums.edges[record];
+                kernel::back_one::<R, FMA, false>(&block, record, place, values, sums, pixels);
             }
-            block_sums.set(lane, any, &[sums[0], sums[1], sums[2]]);
         }
-        kernel::scatter(boxes.source, &block, [first, count], &block_sums, factor, du, dv);
+        sums.scatter(boxes.source, &block, [first, count], factor, du, dv);
         first += LANES;
     }
     tiles.list = list;

@@ -1,0 +1,198 @@
+//! Which tiles the faces of a block reach, as lists: loops over them end where it can be foretold.
+
+use multiversion::multiversion;
+
+use super::faces::Block;
+use super::real::{LANES, Real};
+use super::tiles::Tiles;
+
+/// Tiles of a window, per face.
+const WINDOW: usize = 64;
+
+/// A list is written in pieces of a window, and ends anywhere in the last.
+const ROOM: usize = (LANES + 1) * WINDOW;
+
+/// Pairs of a record of a block and a tile of a window.
+#[derive(Debug)]
+pub(super) struct List {
+    record: [u8; ROOM],
+    tile: [u8; ROOM],
+    length: usize,
+}
+
+/// What the faces of a block reach of a window of 8x8 tiles. Each face has a window of its own.
+#[derive(Debug)]
+pub(super) struct Items {
+    /// Tiles for which an edge alone gives the distance, edge after edge: the record of edge `k` of
+    /// face `lane` is `16 k + lane`.
+    pub(super) one: List,
+    /// Other tiles: the record is the face.
+    pub(super) all: List,
+    /// Tiles in use within reach, of each face.
+    used: [u64; LANES],
+    /// The place of the window's first tile among all, of each face.
+    first: [usize; LANES],
+    /// Tiles in a row of all.
+    stride: usize,
+}
+
+impl List {
+    const fn new() -> Self {
+        Self { record: [0; ROOM], tile: [0; ROOM], length: 0 }
+    }
+
+    /// Add the tiles that are the bits of a word.
+    #[inline(always)]
+    fn add(&mut self, record: u8, mut bits: u64) {
+        while bits != 0 {
+            self.record[self.length] = record;
+            self.tile[self.length] = bits.trailing_zeros() as u8;
+            self.length += 1;
+            bits &= bits - 1;
+        }
+    }
+
+    /// Record, and tile as `8 row + column`.
+    #[inline(always)]
+    pub(super) fn iter(&self) -> impl Iterator<Item = (usize, usize)> {
+        let pairs = self.record[..self.length].iter().zip(&self.tile[..self.length]);
+        pairs.map(|(&record, &tile)| (record as usize, tile as usize))
+    }
+}
+
+impl Items {
+    pub(super) const fn new() -> Self {
+        let (used, first) = ([0; LANES], [0; LANES]);
+        Self { one: List::new(), all: List::new(), used, first, stride: 0 }
+    }
+
+    /// List the tiles in use of the window that begins so many columns and rows after the first tile
+    /// within reach of each face that is to be `seen`.
+    #[inline(always)]
+    pub(super) fn find<R: Real>(
+        &mut self,
+        block: &Block<R>,
+        tiles: &Tiles<R>,
+        [right, down]: [usize; 2],
+        seen: &[bool; LANES],
+    ) {
+        self.stride = tiles.rectangle.count[0];
+        for lane in 0..LANES {
+            let [from, to, top, bottom] = [0, 1, 2, 3].map(|k| block.tiles[k][lane] as usize);
+            let (column, row) = (from + right, top + down);
+            (self.used[lane], self.first[lane]) = (0, 0);
+            if column < to && row < bottom && seen[lane] {
+                self.used[lane] =
+                    tiles.used(column, row, to - column, bottom - row) & block.near.all[lane];
+                self.first[lane] = row * self.stride + column;
+            }
+        }
+        list(self, &block.near.one);
+    }
+
+    /// Whether a face has any.
+    pub(super) fn any(&self, lane: usize) -> bool {
+        self.used[lane] != 0
+    }
+
+    /// The place of a tile of a face's window among all.
+    #[inline(always)]
+    pub(super) fn place(&self, record: usize, tile: usize) -> usize {
+        self.first[record % LANES] + (tile / 8) * self.stride + tile % 8
+    }
+
+    /// One face after another.
+    fn list_plain(&mut self, one: &[[u64; LANES]; 3]) {
+        (self.one.length, self.all.length) = (0, 0);
+        for lane in 0..LANES {
+            let mut rest = self.used[lane];
+            for (k, one) in one.iter().enumerate() {
+                self.one.add((LANES * k + lane) as u8, one[lane] & rest);
+                rest &= !one[lane];
+            }
+            self.all.add(lane as u8, rest);
+        }
+    }
+}
+
+// A build for one processor that has these instructions leaves out the attributes that make it safe
+// to call.
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512vbmi2")))]
+use self::avx512::list as list_wide;
+#[cfg(all(target_arch = "x86_64", target_feature = "avx512vbmi2"))]
+use Items::list_plain as list_wide;
+
+/// A call of its own, for an instruction set of its own.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vbmi2+popcnt"))]
+fn list(items: &mut Items, one: &[[u64; LANES]; 3]) {
+    multiversion::target::match_target! {
+        "x86_64+avx512vbmi2" => list_wide(items, one),
+        _ => items.list_plain(one),
+    }
+}
+
+#[cfg(all(target_arch = "x86_64", not(target_feature = "avx512vbmi2")))]
+mod avx512 {
+    use std::arch::x86_64::{
+        __m512i, _mm_extract_epi64, _mm512_extracti32x4_epi32, _mm512_maskz_compress_epi8,
+        _mm512_set_epi64, _mm512_set1_epi8,
+    };
+
+    use super::{Items, LANES, List, WINDOW};
+
+    /// As [`Items::list_plain`], a word of bits at once.
+    #[inline]
+    #[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
+    pub(super) fn list(items: &mut Items, one: &[[u64; LANES]; 3]) {
+        (items.one.length, items.all.length) = (0, 0);
+        for lane in 0..LANES {
+            let mut rest = items.used[lane];
+            for (k, one) in one.iter().enumerate() {
+                add(&mut items.one, (LANES * k + lane) as u8, one[lane] & rest);
+                rest &= !one[lane];
+            }
+            add(&mut items.all, lane as u8, rest);
+        }
+    }
+
+    #[inline]
+    #[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
+    fn add(list: &mut List, record: u8, bits: u64) {
+        let eight = |k: i64| 0x0706_0504_0302_0100 + k * 0x0808_0808_0808_0808;
+        let numbers = _mm512_set_epi64(
+            eight(7),
+            eight(6),
+            eight(5),
+            eight(4),
+            eight(3),
+            eight(2),
+            eight(1),
+            eight(0),
+        );
+        let end = list.length + WINDOW;
+        let (Some(tile), Some(records)) =
+            (list.tile.get_mut(list.length..end), list.record.get_mut(list.length..end))
+        else {
+            return;
+        };
+        store(_mm512_maskz_compress_epi8(bits, numbers), tile);
+        store(_mm512_set1_epi8(record.cast_signed()), records);
+        list.length += bits.count_ones() as usize;
+    }
+
+    /// One store.
+    #[inline]
+    #[target_feature(enable = "avx512f")]
+    fn store(bytes: __m512i, to: &mut [u8]) {
+        let parts = [
+            _mm512_extracti32x4_epi32::<0>(bytes),
+            _mm512_extracti32x4_epi32::<1>(bytes),
+            _mm512_extracti32x4_epi32::<2>(bytes),
+            _mm512_extracti32x4_epi32::<3>(bytes),
+        ];
+        for (part, to) in parts.into_iter().zip(to.chunks_exact_mut(16)) {
+            to[..8].copy_from_slice(&_mm_extract_epi64::<0>(part).to_le_bytes());
+            to[8..].copy_from_slice(&_mm_extract_epi64::<1>(part).to_le_bytes());
+        }
+    }
+}
