@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::faces::Source;
 use super::kaolin::{self, Boxes, Points};
-use super::real::{LANES, Real};
+use super::real::{LANES, Lanes, Real};
 use super::tiles::{Rectangle, Run, SIDE, Tiles, Units};
 use super::{Profile, kernel};
 use crate::raster::{Background, Model, Pixel, Screen, Size, add_in_order, hard};
@@ -43,7 +43,7 @@ thread_local! {
 }
 
 /// The values of all tiles, for the gradient.
-pub(super) type Product<R> = Vec<[R; LANES]>;
+pub(super) type Product<R> = Vec<Lanes<R>>;
 
 /// What the bands of an image have in common.
 struct Image<'a> {
@@ -81,7 +81,7 @@ pub(super) fn draw<R: Real, T: Pixel>(
             background.fill_together(out, T::default());
             return product;
         };
-        let one = |k: usize, out: &mut [T], top: usize, kept: Option<&mut [[R; LANES]]>| {
+        let one = |k: usize, out: &mut [T], top: usize, kept: Option<&mut [Lanes<R>]>| {
             image.band(k, |source, tiles: &mut Tiles<R>| {
                 image.multiply(source, tiles);
                 tiles.compose(size, (out, top), background);
@@ -91,7 +91,7 @@ pub(super) fn draw<R: Real, T: Pixel>(
             });
         };
         if let Some(product) = &mut product {
-            product.resize(image.whole.tiles(), [R::ZERO; LANES]);
+            product.resize(image.whole.tiles(), Lanes::ZERO);
         }
         let [_, rows] = image.whole.pixels(size);
         let (head, rest) = out.split_at_mut(rows.start * size.width);
@@ -118,7 +118,7 @@ pub(super) fn draw<R: Real, T: Pixel>(
 /// product of the mask or without.
 pub(super) fn back<R: Real, T: Pixel>(
     profile: Profile,
-    product: Option<&[[R; LANES]]>,
+    product: Option<&[Lanes<R>]>,
     (model, screen): (&Model, &Screen),
     size: Size,
     upstream: &[T],

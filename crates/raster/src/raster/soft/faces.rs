@@ -28,6 +28,7 @@ pub(super) struct Edges<R> {
 /// Sixteen faces. Edge `k` runs from corner `k` to the next, the corners positively oriented. The
 /// origin of a face is the first pixel centre of the first tile within its reach.
 #[derive(Debug)]
+#[repr(C, align(64))]
 pub(super) struct Block<R> {
     pub(super) edges: Edges<R>,
     /// Tiles within reach: columns `0..1`, rows `2..3`.

@@ -4,7 +4,7 @@ use multiversion::multiversion;
 
 use super::faces::{Block, Source};
 use super::items::Items;
-use super::real::{LANES, Real};
+use super::real::{LANES, Lanes, Real};
 use super::sums::{Edge, Edges, Sums};
 use super::tiles::Tiles;
 
@@ -98,8 +98,8 @@ fn measure<R: Real, const FMA: bool>(block: &Block<R>, record: usize, x: R, y: R
 pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     lane: usize,
-    [x, y]: [&[R; LANES]; 2],
-    values: &mut [R; LANES],
+    [x, y]: [&Lanes<R>; 2],
+    values: &mut Lanes<R>,
     mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
@@ -122,8 +122,8 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
 pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     record: usize,
-    [x, y]: [&[R; LANES]; 2],
-    values: &mut [R; LANES],
+    [x, y]: [&Lanes<R>; 2],
+    values: &mut Lanes<R>,
     mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
@@ -179,8 +179,8 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
 pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     lane: usize,
-    [x, y]: [&[R; LANES]; 2],
-    values: &[R; LANES],
+    [x, y]: [&Lanes<R>; 2],
+    values: &Lanes<R>,
     edges: &mut Edges<R>,
     mut pixels: impl Pixels,
 ) {
@@ -233,8 +233,8 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
 pub(super) fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     record: usize,
-    [x, y]: [&[R; LANES]; 2],
-    values: &[R; LANES],
+    [x, y]: [&Lanes<R>; 2],
+    values: &Lanes<R>,
     sums: &mut Edge<R>,
     mut pixels: impl Pixels,
 ) {

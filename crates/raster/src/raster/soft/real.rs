@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 use std::fmt::Debug;
-use std::ops::{Add, Div, Mul, Neg, Sub};
+use std::ops::{Add, Deref, DerefMut, Div, Mul, Neg, Sub};
 
 use super::bands::Scratch;
 use super::sums::{self, Edges, Totals};
@@ -10,6 +10,31 @@ use crate::raster::spare::Spare;
 
 /// Pixels of a tile: 4 rows of 4.
 pub(super) const LANES: usize = 16;
+
+/// A number for each pixel of a tile, where one load takes them from one line of the caches.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+pub(super) struct Lanes<R>(pub(super) [R; LANES]);
+
+impl<R: Real> Lanes<R> {
+    pub(super) const ZERO: Self = Self([R::ZERO; LANES]);
+}
+
+impl<R> Deref for Lanes<R> {
+    type Target = [R; LANES];
+
+    #[inline(always)]
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl<R> DerefMut for Lanes<R> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
+}
 
 /// `f32` or `f64`.
 pub(super) trait Real:
@@ -58,7 +83,7 @@ pub(super) trait Real:
     fn totals(edges: &Edges<Self>) -> Totals<Self>;
     fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O;
     /// Memory of products that nobody needs any more.
-    fn spare() -> &'static Spare<[Self; LANES]>;
+    fn spare() -> &'static Spare<Lanes<Self>>;
 
     #[inline(always)]
     fn least(self, other: Self) -> Self {
@@ -79,8 +104,8 @@ thread_local! {
     static DOUBLE: RefCell<Scratch<f64>> = RefCell::default();
 }
 
-static SPARE_SINGLE: Spare<[f32; LANES]> = Spare::new();
-static SPARE_DOUBLE: Spare<[f64; LANES]> = Spare::new();
+static SPARE_SINGLE: Spare<Lanes<f32>> = Spare::new();
+static SPARE_DOUBLE: Spare<Lanes<f64>> = Spare::new();
 
 macro_rules! plain {
     ($scratch:ident, $spare:ident, $type:ty) => {
@@ -110,7 +135,7 @@ macro_rules! plain {
         fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O {
             $scratch.with_borrow_mut(work)
         }
-        fn spare() -> &'static Spare<[Self; LANES]> {
+        fn spare() -> &'static Spare<Lanes<Self>> {
             &$spare
         }
     };

@@ -3,11 +3,11 @@
 use multiversion::multiversion;
 
 use super::faces::{Block, Source};
-use super::real::{LANES, Real};
+use super::real::{LANES, Lanes, Real};
 
 /// Of an edge, over the pixels of a tile in lanes: weight times `across`, `across * along`, `beyond`
 /// with the sign of the end, `beyond`; `along` ends at the ends of the edge.
-pub(super) type Edge<R> = [[R; LANES]; 4];
+pub(super) type Edge<R> = [Lanes<R>; 4];
 
 /// Edge `k` of face `lane` is at `16 k + lane`; a quarter is nothing and spares a check of the index.
 pub(super) type Edges<R> = [Edge<R>; 4 * LANES];
@@ -25,13 +25,13 @@ pub(super) type Totals<R> = [[[R; LANES]; 4]; 3];
 
 impl<R: Real> Sums<R> {
     pub(super) fn new() -> Self {
-        Self { edges: [[[R::ZERO; LANES]; 4]; 4 * LANES], any: [false; LANES] }
+        Self { edges: [[Lanes::ZERO; 4]; 4 * LANES], any: [false; LANES] }
     }
 
     /// All become 0.
     #[inline(always)]
     pub(super) fn clear(&mut self) {
-        self.edges[..3 * LANES].as_flattened_mut().as_flattened_mut().fill(R::ZERO);
+        self.edges[..3 * LANES].as_flattened_mut().fill(Lanes::ZERO);
         self.any = [false; LANES];
     }
 
@@ -207,7 +207,8 @@ mod tests {
     #[test]
     fn totals_have_the_same_bits_on_every_instruction_set() {
         let mut sums = Sums::<f32>::new();
-        for (k, sum) in sums.edges.as_flattened_mut().as_flattened_mut().iter_mut().enumerate() {
+        for (k, sum) in sums.edges.as_flattened_mut().iter_mut().flat_map(|l| &mut l.0).enumerate()
+        {
             *sum = ((k * 2_654_435_761) % 10_007) as f32 * 1e-3 - 5.0;
         }
         let (a, b) = (totals(&sums.edges), totals_single(&sums.edges));

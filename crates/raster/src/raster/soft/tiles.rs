@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::kaolin::Met;
-use super::real::{LANES, Real};
+use super::real::{LANES, Lanes, Real};
 use crate::raster::{Background, Pixel, Size};
 
 /// Side of a tile in pixels.
@@ -100,7 +100,7 @@ pub(super) struct Run {
 pub(super) struct Tiles<R> {
     pub(super) rectangle: Rectangle,
     /// Row by row; pixels within a tile too.
-    pub(super) values: Vec<[R; LANES]>,
+    pub(super) values: Vec<Lanes<R>>,
     /// Faces that the pixels have met, where these are counted.
     pub(super) met: Vec<[i32; LANES]>,
     /// Pixels that are not 0, a bit each, where faces are counted.
@@ -130,14 +130,14 @@ impl<R: Real> Default for Tiles<R> {
 #[derive(Debug)]
 pub(super) struct Places<R> {
     /// Of tiles from `-count` columns away on, up to `count + 7`.
-    x: Vec<[R; LANES]>,
+    x: Vec<Lanes<R>>,
     /// The same of rows.
-    y: Vec<[R; LANES]>,
+    y: Vec<Lanes<R>>,
     count: [usize; 2],
 }
 
 /// Those of eight columns and eight rows.
-pub(super) type Window<'a, R> = [&'a [[R; LANES]; 8]; 2];
+pub(super) type Window<'a, R> = [&'a [Lanes<R>; 8]; 2];
 
 impl<R: Real> Places<R> {
     /// For tiles of so many columns and rows.
@@ -149,15 +149,13 @@ impl<R: Real> Places<R> {
         };
         self.x.clear();
         self.x.extend(
-            (0..2 * count[0] + 8).map(|tile| -> [R; LANES] {
-                std::array::from_fn(|lane| pixel(0, tile, lane % SIDE))
-            }),
+            (0..2 * count[0] + 8)
+                .map(|tile| Lanes(std::array::from_fn(|lane| pixel(0, tile, lane % SIDE)))),
         );
         self.y.clear();
         self.y.extend(
-            (0..2 * count[1] + 8).map(|tile| -> [R; LANES] {
-                std::array::from_fn(|lane| pixel(1, tile, lane / SIDE))
-            }),
+            (0..2 * count[1] + 8)
+                .map(|tile| Lanes(std::array::from_fn(|lane| pixel(1, tile, lane / SIDE)))),
         );
     }
 
@@ -171,7 +169,7 @@ impl<R: Real> Places<R> {
 
     /// Of the tile `(column, row)` from another one.
     #[inline(always)]
-    pub(super) fn from(&self, tile: [u32; 2], origin: [i32; 2]) -> [&[R; LANES]; 2] {
+    pub(super) fn from(&self, tile: [u32; 2], origin: [i32; 2]) -> [&Lanes<R>; 2] {
         let at = |axis: usize| {
             (tile[axis].cast_signed() - origin[axis]) as isize + self.count[axis] as isize
         };
@@ -192,7 +190,7 @@ impl<R: Real> Tiles<R> {
     /// Every pixel of the image gets `value`, those of the tiles that lie outside of it get 0.
     pub(super) fn fill(&mut self, size: Size, value: R) {
         self.values.clear();
-        self.values.resize(self.rectangle.tiles(), [value; LANES]);
+        self.values.resize(self.rectangle.tiles(), Lanes([value; LANES]));
         self.blank(size);
     }
 
@@ -262,7 +260,7 @@ impl<R: Real> Tiles<R> {
         for (row, tiles) in self.values.chunks_exact(columns).enumerate() {
             for (column, tile) in tiles.iter().enumerate() {
                 let mut most = R::ZERO;
-                for t in tile {
+                for t in &**tile {
                     most = most.most(t.abs());
                 }
                 self.bits[(column / 8) * stride + row] |= u8::from(most > least) << (column % 8);
