@@ -66,10 +66,18 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
         for window in block.windows() {
             items.find(&block, tiles, window, &seen);
             let Some([x, y]) = tiles.places.window(window) else { break };
-            for (record, tile) in items.one.iter() {
+            let mut list = items.one.iter();
+            if let Some((record, tile)) = list.next() {
                 let place = [&x[tile % 8], &y[tile / 8 % 8]];
-                let values = &mut tiles.values[items.place(record, tile)];
-                draw_one::<R, FMA, SIGMOID>(&block, record, place, values, All);
+                let mut at = items.place(record, tile);
+                let mut d = squared::<R, FMA>(&block, record, place);
+                for (record, tile) in list {
+                    let place = [&x[tile % 8], &y[tile / 8 % 8]];
+                    let next = squared::<R, FMA>(&block, record, place);
+                    multiply::<R, FMA, SIGMOID>(&d, &mut tiles.values[at], All);
+                    (d, at) = (next, items.place(record, tile));
+                }
+                multiply::<R, FMA, SIGMOID>(&d, &mut tiles.values[at], All);
             }
             for (lane, tile) in items.all.iter() {
                 let place = [&x[tile % 8], &y[tile / 8 % 8]];
@@ -110,6 +118,38 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         let left = if SIGMOID {
             let inside = s0.least(s1).least(s2) >= R::ZERO;
             values[l] * (if inside { e } else { R::ONE }) / (R::ONE + e)
+        } else {
+            (-e).fused::<FMA>(values[l], values[l])
+        };
+        values[l] = if pixels.has(l) { left.most(R::LEAST_PRODUCT) } else { values[l] };
+    }
+}
+
+/// Squared distances to an edge.
+#[inline(always)]
+fn squared<R: Real, const FMA: bool>(
+    block: &Block<R>,
+    record: usize,
+    [x, y]: [&Lanes<R>; 2],
+) -> Lanes<R> {
+    let mut squared = Lanes::ZERO;
+    for l in 0..LANES {
+        (squared[l], _, _, _) = measure::<R, FMA>(block, record, x[l], y[l]);
+    }
+    squared
+}
+
+/// Multiply by what a face leaves uncovered outside of it.
+#[inline(always)]
+fn multiply<R: Real, const FMA: bool, const SIGMOID: bool>(
+    squared: &Lanes<R>,
+    values: &mut Lanes<R>,
+    mut pixels: impl Pixels,
+) {
+    for l in 0..LANES {
+        let e = squared[l].exp2_negative::<FMA>();
+        let left = if SIGMOID {
+            values[l] / (R::ONE + e)
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
@@ -185,8 +225,8 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     mut pixels: impl Pixels,
 ) {
     let lane = lane % LANES;
-    // A copy whose address nobody takes stays in registers.
-    let mut sums = [edges[lane], edges[LANES + lane], edges[2 * LANES + lane]];
+    // Lists whose address nobody takes stay in registers.
+    let mut sums = [[Lanes::<R>::ZERO; 4]; 3];
     for l in 0..LANES {
         let (d0, s0, b0, a0) = measure::<R, FMA>(block, lane, x[l], y[l]);
         let (d1, s1, b1, a1) = measure::<R, FMA>(block, LANES + lane, x[l], y[l]);
@@ -208,23 +248,25 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         let w2 = if first || second { R::ZERO } else { weight };
         // One edge after another: a loop over them would not become lanes.
         let g0 = if a0 < R::ZERO { -b0 } else { b0 };
-        sums[0][0][l] = w0.fused::<FMA>(s0, sums[0][0][l]);
-        sums[0][1][l] = (w0 * s0).fused::<FMA>(a0 - g0, sums[0][1][l]);
-        sums[0][2][l] = w0.fused::<FMA>(g0, sums[0][2][l]);
-        sums[0][3][l] = w0.fused::<FMA>(b0, sums[0][3][l]);
+        sums[0][0][l] = w0.fused::<FMA>(s0, edges[lane][0][l]);
+        sums[0][1][l] = (w0 * s0).fused::<FMA>(a0 - g0, edges[lane][1][l]);
+        sums[0][2][l] = w0.fused::<FMA>(g0, edges[lane][2][l]);
+        sums[0][3][l] = w0.fused::<FMA>(b0, edges[lane][3][l]);
         let g1 = if a1 < R::ZERO { -b1 } else { b1 };
-        sums[1][0][l] = w1.fused::<FMA>(s1, sums[1][0][l]);
-        sums[1][1][l] = (w1 * s1).fused::<FMA>(a1 - g1, sums[1][1][l]);
-        sums[1][2][l] = w1.fused::<FMA>(g1, sums[1][2][l]);
-        sums[1][3][l] = w1.fused::<FMA>(b1, sums[1][3][l]);
+        sums[1][0][l] = w1.fused::<FMA>(s1, edges[LANES + lane][0][l]);
+        sums[1][1][l] = (w1 * s1).fused::<FMA>(a1 - g1, edges[LANES + lane][1][l]);
+        sums[1][2][l] = w1.fused::<FMA>(g1, edges[LANES + lane][2][l]);
+        sums[1][3][l] = w1.fused::<FMA>(b1, edges[LANES + lane][3][l]);
         let g2 = if a2 < R::ZERO { -b2 } else { b2 };
-        sums[2][0][l] = w2.fused::<FMA>(s2, sums[2][0][l]);
-        sums[2][1][l] = (w2 * s2).fused::<FMA>(a2 - g2, sums[2][1][l]);
-        sums[2][2][l] = w2.fused::<FMA>(g2, sums[2][2][l]);
-        sums[2][3][l] = w2.fused::<FMA>(b2, sums[2][3][l]);
+        sums[2][0][l] = w2.fused::<FMA>(s2, edges[2 * LANES + lane][0][l]);
+        sums[2][1][l] = (w2 * s2).fused::<FMA>(a2 - g2, edges[2 * LANES + lane][1][l]);
+        sums[2][2][l] = w2.fused::<FMA>(g2, edges[2 * LANES + lane][2][l]);
+        sums[2][3][l] = w2.fused::<FMA>(b2, edges[2 * LANES + lane][3][l]);
     }
-    for (k, sums) in sums.into_iter().enumerate() {
-        edges[k * LANES + lane] = sums;
+    for (k, sums) in sums.iter().enumerate() {
+        for (to, sum) in edges[k * LANES + lane].iter_mut().zip(sums) {
+            *to = *sum;
+        }
     }
 }
 
