@@ -195,11 +195,20 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
         for window in block.windows() {
             items.find(&block, tiles, window, &seen);
             let Some([x, y]) = tiles.places.window(window) else { break };
-            for (record, tile) in items.one.iter() {
+            let mut list = items.one.iter();
+            if let Some((mut last, tile)) = list.next() {
                 let place = [&x[tile % 8], &y[tile / 8 % 8]];
-                let values = &tiles.values[items.place(record, tile)];
-                let sums = &mut sums.edges[record % (4 * LANES)];
-                back_one::<R, FMA, SIGMOID>(&block, record, place, values, sums, All);
+                let mut at = items.place(last, tile);
+                let mut m = measured::<R, FMA>(&block, last, place);
+                for (record, tile) in list {
+                    let place = [&x[tile % 8], &y[tile / 8 % 8]];
+                    let next = measured::<R, FMA>(&block, record, place);
+                    let sums_of = &mut sums.edges[last % (4 * LANES)];
+                    back_two::<R, FMA, SIGMOID>(&m, &tiles.values[at], sums_of);
+                    (m, last, at) = (next, record, items.place(record, tile));
+                }
+                let sums_of = &mut sums.edges[last % (4 * LANES)];
+                back_two::<R, FMA, SIGMOID>(&m, &tiles.values[at], sums_of);
             }
             for (lane, tile) in items.all.iter() {
                 let place = [&x[tile % 8], &y[tile / 8 % 8]];
@@ -267,6 +276,41 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         for (to, sum) in edges[k * LANES + lane].iter_mut().zip(sums) {
             *to = *sum;
         }
+    }
+}
+
+#[inline(always)]
+fn measured<R: Real, const FMA: bool>(
+    block: &Block<R>,
+    record: usize,
+    [x, y]: [&Lanes<R>; 2],
+) -> [Lanes<R>; 4] {
+    let mut m = [Lanes::ZERO; 4];
+    for l in 0..LANES {
+        (m[0][l], m[1][l], m[2][l], m[3][l]) = measure::<R, FMA>(block, record, x[l], y[l]);
+    }
+    m
+}
+
+#[inline(always)]
+fn back_two<R: Real, const FMA: bool, const SIGMOID: bool>(
+    m: &[Lanes<R>; 4],
+    values: &Lanes<R>,
+    sums: &mut Edge<R>,
+) {
+    for l in 0..LANES {
+        let (d, s, b, a) = (m[0][l], m[1][l], m[2][l], m[3][l]);
+        let e = d.exp2_negative::<FMA>();
+        let w = if SIGMOID {
+            -values[l] * e / (R::ONE + e)
+        } else {
+            -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
+        };
+        let g = if a < R::ZERO { -b } else { b };
+        sums[0][l] = w.fused::<FMA>(s, sums[0][l]);
+        sums[1][l] = (w * s).fused::<FMA>(a - g, sums[1][l]);
+        sums[2][l] = w.fused::<FMA>(g, sums[2][l]);
+        sums[3][l] = w.fused::<FMA>(b, sums[3][l]);
     }
 }
 
