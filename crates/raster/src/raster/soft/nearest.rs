@@ -102,16 +102,16 @@ impl Near {
                 let left = squared - gap * gap;
                 let wide = left.most(R::ZERO).sqrt() * across;
                 let bits = before(x1[l] + wide) & !before(x0[l] - wide - last);
-                let bits = if left > R::ZERO { bits } else { 0 };
+                let bits = if left > R::ZERO { bits & 0xFF } else { 0 };
                 // Of each edge: touching its strip, wholly past its end, wholly before its begin.
                 let (mut touch, mut past, mut ahead) = ([0; 3], [0; 3], [0; 3]);
-                let mut within = 0xFF;
+                let mut within = u32::MAX;
                 for k in 0..3 {
                     let s = &strips[k];
                     let from = s.low[l] + r * s.shift[l];
-                    let (small, large) = (before(from), 0xFF & !before(from + s.wide[l]));
+                    let (small, large) = (before(from), !before(from + s.wide[l]));
                     let shift = r * s.outer_shift[l];
-                    let flip = if s.beyond[l] { 0xFF } else { 0 };
+                    let flip = if s.beyond[l] { u32::MAX } else { 0 };
                     touch[k] = !(small | large) & (before(s.outer[l] + shift) ^ flip);
                     past[k] = if s.right[l] { large } else { small };
                     ahead[k] = if s.right[l] { small } else { large };
@@ -155,10 +155,10 @@ impl Near {
     }
 }
 
-/// The columns of eight that are less than `x`.
+/// The columns of eight that are less than `x`, and what further bits may be.
 #[inline(always)]
 fn before<R: Real>(x: R) -> u32 {
-    (1 << x.most(R::ZERO).least(R::of(8.0)).ceil_bits()) - 1
+    !u32::MAX.unbounded_shl(x.most(R::ZERO).ceil_shift())
 }
 
 impl<R: Real> Strip<R> {

@@ -72,9 +72,9 @@ pub(super) trait Real:
     fn sqrt(self) -> Self;
     /// The integer below; up to 1e-4 more is taken for the one above. For `0 <= self < 2^20`.
     fn floor_i32(self) -> i32;
-    /// The integer above, modulo 32; up to 1e-4 more than an integer is taken for it. For
-    /// `0 <= self < 2^20`.
-    fn ceil_bits(self) -> u32;
+    /// The integer above, or 32 or more for anything that large; up to 1e-4 more than an integer is
+    /// taken for it. For `0 <= self`.
+    fn ceil_shift(self) -> u32;
     /// `self * b + c`, in one instruction where `FMA`.
     fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self;
     /// `2^-self` for `self >= 0`, accurate to a few units of the last place of 1.
@@ -159,8 +159,8 @@ impl Real for f32 {
     }
 
     #[inline(always)]
-    fn ceil_bits(self) -> u32 {
-        (self + 0.4999 + ROUND_SINGLE).to_bits() & 31
+    fn ceil_shift(self) -> u32 {
+        (self + 0.4999 + ROUND_SINGLE).to_bits().wrapping_sub(ROUND_SINGLE.to_bits())
     }
 
     /// `2^n 2^r`, `2^r` as a polynomial of relative error 8e-8 over `|r| <= 1/2`.
@@ -197,8 +197,8 @@ impl Real for f64 {
     }
 
     #[inline(always)]
-    fn ceil_bits(self) -> u32 {
-        (self + 0.4999 + ROUND_DOUBLE).to_bits() as u32 & 31
+    fn ceil_shift(self) -> u32 {
+        (self.least(32.0) + 0.4999 + ROUND_DOUBLE).to_bits() as u32 & 63
     }
 
     /// `2^n 2^r`, `2^r` as its Taylor polynomial over `|r| <= 1/2`.
