@@ -196,3 +196,46 @@ mod avx512 {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pairs(list: &List) -> Vec<(usize, usize)> {
+        list.iter().collect()
+    }
+
+    #[test]
+    fn lists_are_the_same_on_every_instruction_set() {
+        let mut state = 1_u64;
+        let mut word = |density: u32| {
+            (0..64).fold(0, |word, bit| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                word | u64::from((state >> 33) % 100 < u64::from(density)) << bit
+            })
+        };
+        for density in [0, 3, 15, 60, 100] {
+            let (mut wide, mut plain) = (Items::new(), Items::new());
+            wide.used = std::array::from_fn(|_| word(density));
+            plain.used = wide.used;
+            let one = [0; 3].map(|_: u64| std::array::from_fn(|_| word(30)));
+            list(&mut wide, &one);
+            plain.list_plain(&one);
+            assert_eq!(pairs(&wide.one), pairs(&plain.one));
+            assert_eq!(pairs(&wide.all), pairs(&plain.all));
+            // Every tile once, with an edge that is to give its distance if there is one.
+            let mut left = wide.used;
+            for (record, tile) in wide.one.iter().chain(wide.all.iter()) {
+                assert!(left[record % LANES] >> tile & 1 == 1);
+                left[record % LANES] ^= 1 << tile;
+            }
+            assert_eq!(left, [0; LANES]);
+            for (record, tile) in wide.one.iter() {
+                assert!(one[record / LANES][record % LANES] >> tile & 1 == 1);
+            }
+            for (lane, tile) in wide.all.iter() {
+                assert!(one.iter().all(|one| one[lane] >> tile & 1 == 0));
+            }
+        }
+    }
+}

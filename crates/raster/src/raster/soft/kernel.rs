@@ -5,7 +5,7 @@ use multiversion::multiversion;
 use super::faces::{Block, Source};
 use super::items::Items;
 use super::real::{LANES, Lanes, Real};
-use super::sums::{Edge, Edges, Sums};
+use super::sums::{Edge, Sums};
 use super::tiles::Tiles;
 
 /// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
@@ -53,6 +53,36 @@ impl Pixels for All {
     }
 }
 
+/// What the pixels of a tile are from an edge.
+pub(super) struct Measured<R> {
+    /// Squared distance.
+    squared: Lanes<R>,
+    /// How far inside its line.
+    across: Lanes<R>,
+    /// How far beyond its ends.
+    beyond: Lanes<R>,
+    /// How far along it, from the middle.
+    along: Lanes<R>,
+}
+
+impl<R: Real> Measured<R> {
+    /// From the edge with this record.
+    #[inline(always)]
+    pub(super) fn new<const FMA: bool>(
+        block: &Block<R>,
+        record: usize,
+        [x, y]: [&Lanes<R>; 2],
+    ) -> Self {
+        let zero = Lanes::ZERO;
+        let mut of = Self { squared: zero, across: zero, beyond: zero, along: zero };
+        for l in 0..LANES {
+            (of.squared[l], of.across[l], of.beyond[l], of.along[l]) =
+                measure::<R, FMA>(block, record, x[l], y[l]);
+        }
+        of
+    }
+}
+
 #[inline(always)]
 fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     source: &Source<'_>,
@@ -66,23 +96,22 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
         for window in block.windows() {
             items.find(&block, tiles, window, &seen);
             let Some([x, y]) = tiles.places.window(window) else { break };
+            let place = |tile: usize| [&x[tile % 8], &y[tile / 8 % 8]];
             let mut list = items.one.iter();
             if let Some((record, tile)) = list.next() {
-                let place = [&x[tile % 8], &y[tile / 8 % 8]];
                 let mut at = items.place(record, tile);
-                let mut d = squared::<R, FMA>(&block, record, place);
+                let mut from = Measured::new::<FMA>(&block, record, place(tile));
+                // The next is measured while this one waits for its exponential.
                 for (record, tile) in list {
-                    let place = [&x[tile % 8], &y[tile / 8 % 8]];
-                    let next = squared::<R, FMA>(&block, record, place);
-                    multiply::<R, FMA, SIGMOID>(&d, &mut tiles.values[at], All);
-                    (d, at) = (next, items.place(record, tile));
+                    let next = Measured::new::<FMA>(&block, record, place(tile));
+                    draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at], All);
+                    (from, at) = (next, items.place(record, tile));
                 }
-                multiply::<R, FMA, SIGMOID>(&d, &mut tiles.values[at], All);
+                draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at], All);
             }
             for (lane, tile) in items.all.iter() {
-                let place = [&x[tile % 8], &y[tile / 8 % 8]];
                 let values = &mut tiles.values[items.place(lane, tile)];
-                draw_tile::<R, FMA, SIGMOID>(&block, lane, place, values, All);
+                draw_tile::<R, FMA, SIGMOID>(&block, lane, place(tile), values, All);
             }
         }
         first += LANES;
@@ -125,50 +154,15 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     }
 }
 
-/// Squared distances to an edge.
-#[inline(always)]
-fn squared<R: Real, const FMA: bool>(
-    block: &Block<R>,
-    record: usize,
-    [x, y]: [&Lanes<R>; 2],
-) -> Lanes<R> {
-    let mut squared = Lanes::ZERO;
-    for l in 0..LANES {
-        (squared[l], _, _, _) = measure::<R, FMA>(block, record, x[l], y[l]);
-    }
-    squared
-}
-
-/// Multiply by what a face leaves uncovered outside of it.
-#[inline(always)]
-fn multiply<R: Real, const FMA: bool, const SIGMOID: bool>(
-    squared: &Lanes<R>,
-    values: &mut Lanes<R>,
-    mut pixels: impl Pixels,
-) {
-    for l in 0..LANES {
-        let e = squared[l].exp2_negative::<FMA>();
-        let left = if SIGMOID {
-            values[l] / (R::ONE + e)
-        } else {
-            (-e).fused::<FMA>(values[l], values[l])
-        };
-        values[l] = if pixels.has(l) { left.most(R::LEAST_PRODUCT) } else { values[l] };
-    }
-}
-
-/// As [`draw_tile`] for a tile outside of the face to which the edge with this record is the nearest.
+/// As [`draw_tile`] for a tile outside of the face to which the measured edge is the nearest.
 #[inline(always)]
 pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
-    block: &Block<R>,
-    record: usize,
-    [x, y]: [&Lanes<R>; 2],
+    from: &Measured<R>,
     values: &mut Lanes<R>,
     mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
-        let (d, _, _, _) = measure::<R, FMA>(block, record, x[l], y[l]);
-        let e = d.exp2_negative::<FMA>();
+        let e = from.squared[l].exp2_negative::<FMA>();
         let left = if SIGMOID {
             values[l] / (R::ONE + e)
         } else {
@@ -195,25 +189,23 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
         for window in block.windows() {
             items.find(&block, tiles, window, &seen);
             let Some([x, y]) = tiles.places.window(window) else { break };
+            let place = |tile: usize| [&x[tile % 8], &y[tile / 8 % 8]];
             let mut list = items.one.iter();
             if let Some((mut last, tile)) = list.next() {
-                let place = [&x[tile % 8], &y[tile / 8 % 8]];
                 let mut at = items.place(last, tile);
-                let mut m = measured::<R, FMA>(&block, last, place);
+                let mut from = Measured::new::<FMA>(&block, last, place(tile));
                 for (record, tile) in list {
-                    let place = [&x[tile % 8], &y[tile / 8 % 8]];
-                    let next = measured::<R, FMA>(&block, record, place);
-                    let sums_of = &mut sums.edges[last % (4 * LANES)];
-                    back_two::<R, FMA, SIGMOID>(&m, &tiles.values[at], sums_of);
-                    (m, last, at) = (next, record, items.place(record, tile));
+                    let next = Measured::new::<FMA>(&block, record, place(tile));
+                    let edge = sums.of(last);
+                    back_one::<R, FMA, SIGMOID>(&from, &tiles.values[at], edge, All);
+                    (from, last, at) = (next, record, items.place(record, tile));
                 }
-                let sums_of = &mut sums.edges[last % (4 * LANES)];
-                back_two::<R, FMA, SIGMOID>(&m, &tiles.values[at], sums_of);
+                let edge = sums.of(last);
+                back_one::<R, FMA, SIGMOID>(&from, &tiles.values[at], edge, All);
             }
             for (lane, tile) in items.all.iter() {
-                let place = [&x[tile % 8], &y[tile / 8 % 8]];
                 let values = &tiles.values[items.place(lane, tile)];
-                back_tile::<R, FMA, SIGMOID>(&block, lane, place, values, &mut sums.edges, All);
+                back_tile::<R, FMA, SIGMOID>(&block, lane, place(tile), values, &mut sums, All);
             }
             for (lane, any) in sums.any.iter_mut().enumerate() {
                 *any |= items.any(lane);
@@ -230,10 +222,10 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     lane: usize,
     [x, y]: [&Lanes<R>; 2],
     values: &Lanes<R>,
-    edges: &mut Edges<R>,
+    sums: &mut Sums<R>,
     mut pixels: impl Pixels,
 ) {
-    let lane = lane % LANES;
+    let (lane, edges) = (lane % LANES, &mut sums.edges);
     // Lists whose address nobody takes stay in registers.
     let mut sums = [[Lanes::<R>::ZERO; 4]; 3];
     for l in 0..LANES {
@@ -279,54 +271,17 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     }
 }
 
-#[inline(always)]
-fn measured<R: Real, const FMA: bool>(
-    block: &Block<R>,
-    record: usize,
-    [x, y]: [&Lanes<R>; 2],
-) -> [Lanes<R>; 4] {
-    let mut m = [Lanes::ZERO; 4];
-    for l in 0..LANES {
-        (m[0][l], m[1][l], m[2][l], m[3][l]) = measure::<R, FMA>(block, record, x[l], y[l]);
-    }
-    m
-}
-
-#[inline(always)]
-fn back_two<R: Real, const FMA: bool, const SIGMOID: bool>(
-    m: &[Lanes<R>; 4],
-    values: &Lanes<R>,
-    sums: &mut Edge<R>,
-) {
-    for l in 0..LANES {
-        let (d, s, b, a) = (m[0][l], m[1][l], m[2][l], m[3][l]);
-        let e = d.exp2_negative::<FMA>();
-        let w = if SIGMOID {
-            -values[l] * e / (R::ONE + e)
-        } else {
-            -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
-        };
-        let g = if a < R::ZERO { -b } else { b };
-        sums[0][l] = w.fused::<FMA>(s, sums[0][l]);
-        sums[1][l] = (w * s).fused::<FMA>(a - g, sums[1][l]);
-        sums[2][l] = w.fused::<FMA>(g, sums[2][l]);
-        sums[3][l] = w.fused::<FMA>(b, sums[3][l]);
-    }
-}
-
-/// As [`back_tile`] for a tile outside of the face to which the edge with this record is the nearest.
+/// As [`back_tile`] for a tile outside of the face to which the measured edge is the nearest.
 #[inline(always)]
 pub(super) fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
-    block: &Block<R>,
-    record: usize,
-    [x, y]: [&Lanes<R>; 2],
+    from: &Measured<R>,
     values: &Lanes<R>,
     sums: &mut Edge<R>,
     mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
-        let (d, s, b, a) = measure::<R, FMA>(block, record, x[l], y[l]);
-        let e = d.exp2_negative::<FMA>();
+        let (s, b, a) = (from.across[l], from.beyond[l], from.along[l]);
+        let e = from.squared[l].exp2_negative::<FMA>();
         let w = if SIGMOID {
             -values[l] * e / (R::ONE + e)
         } else {

@@ -28,6 +28,12 @@ impl<R: Real> Sums<R> {
         Self { edges: [[Lanes::ZERO; 4]; 4 * LANES], any: [false; LANES] }
     }
 
+    /// Those of the edge with this record.
+    #[inline(always)]
+    pub(super) fn of(&mut self, record: usize) -> &mut Edge<R> {
+        &mut self.edges[record % (4 * LANES)]
+    }
+
     /// All become 0.
     #[inline(always)]
     pub(super) fn clear(&mut self) {

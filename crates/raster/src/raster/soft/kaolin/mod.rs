@@ -19,7 +19,7 @@ pub(super) use self::cover::cover;
 pub(super) use self::points::Points;
 use self::points::of_face;
 use super::faces::{Block, Source};
-use super::kernel::{self, FUSED, Pixels};
+use super::kernel::{self, FUSED, Measured, Pixels};
 use super::real::{LANES, Real};
 use super::sums::Sums;
 use super::tiles::{Rectangle, SIDE, Tiles};
@@ -207,7 +207,8 @@ fn draw_all<R: Real, const FMA: bool>(boxes: Boxes<'_, '_>, tiles: &mut Tiles<R>
             if record >= ALL {
                 kernel::draw_tile::<R, FMA, false>(&block, lane, place, values, pixels);
             } else {
-                kernel::draw_one::<R, FMA, false>(&block, record, place, values, pixels);
+                let from = Measured::new::<FMA>(&block, record, place);
+                kernel::draw_one::<R, FMA, false>(&from, values, pixels);
             }
         }
         first += LANES;
@@ -240,11 +241,11 @@ fn back_all<R: Real, const FMA: bool>(
             let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
             sums.any[lane] = true;
             if record >= ALL {
-                let sums = &mut sums.edges;
+                let sums = &mut sums;
                 kernel::back_tile::<R, FMA, false>(&block, lane, place, values, sums, pixels);
             } else {
-                let sums = &mut sums.edges[record];
-                kernel::back_one::<R, FMA, false>(&block, record, place, values, sums, pixels);
+                let from = Measured::new::<FMA>(&block, record, place);
+                kernel::back_one::<R, FMA, false>(&from, values, sums.of(record), pixels);
             }
         }
         sums.scatter(boxes.source, &block, [first, count], factor, du, dv);
