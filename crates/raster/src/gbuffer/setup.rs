@@ -120,7 +120,8 @@ pub(super) struct Prepared {
     records: Vec<Record>,
     /// How many of the records are those of this image.
     used: usize,
-    points: Vec<[f64; 3]>,
+    /// In samples, `1/z`, and nothing: corners are gathered in whole registers.
+    points: Vec<[f64; 4]>,
     corners: Box<Corners>,
 }
 
@@ -204,6 +205,8 @@ struct Corners {
     range: [[f64; LANES]; 2],
     columns: [[f64; LANES]; 2],
     rows: [[f64; LANES]; 2],
+    /// The same as whole numbers: columns, rows.
+    spans: [[i32; LANES]; 4],
     kept: [bool; LANES],
 }
 
@@ -219,6 +222,7 @@ impl Default for Corners {
             range: [[0.0; LANES]; 2],
             columns: [[0.0; LANES]; 2],
             rows: [[0.0; LANES]; 2],
+            spans: [[0; LANES]; 4],
             kept: [false; LANES],
         }
     }
@@ -227,7 +231,7 @@ impl Default for Corners {
 impl Corners {
     /// The corners of up to [`LANES`] faces.
     #[inline(always)]
-    fn gather(&mut self, points: &[[f64; 3]], faces: &[[u32; 3]]) {
+    fn gather(&mut self, points: &[[f64; 4]], faces: &[[u32; 3]]) {
         let (fours, rest) = faces.as_chunks::<4>();
         for (four, faces) in fours.iter().enumerate() {
             for c in 0..3 {
@@ -242,7 +246,7 @@ impl Corners {
         for (k, face) in rest.iter().enumerate() {
             for c in 0..3 {
                 let at = 4 * fours.len() + k;
-                [self.u[c][at], self.v[c][at], self.w[c][at]] = points[face[c] as usize];
+                [self.u[c][at], self.v[c][at], self.w[c][at], _] = points[face[c] as usize];
             }
         }
     }
@@ -282,6 +286,10 @@ impl Corners {
             self.rows[1][k] = after(high, height);
             self.kept[k] =
                 (self.columns[0][k] < self.columns[1][k]) & (self.rows[0][k] < self.rows[1][k]);
+            self.spans[0][k] = whole(self.columns[0][k]);
+            self.spans[1][k] = whole(self.columns[1][k]);
+            self.spans[2][k] = whole(self.rows[0][k]);
+            self.spans[3][k] = whole(self.rows[1][k]);
         }
     }
 
@@ -339,8 +347,8 @@ impl Corners {
         for side in 0..2 {
             out.nearness[1 + side] = self.nearness[side][k];
             out.range[side] = self.range[side][k];
-            out.columns[side] = whole(self.columns[side][k]);
-            out.rows[side] = whole(self.rows[side][k]);
+            out.columns[side] = self.spans[side][k];
+            out.rows[side] = self.spans[2 + side][k];
         }
         out.id = id;
     }
@@ -354,18 +362,18 @@ fn whole(x: f64) -> i32 {
 
 /// The points of a screen in samples, and `1/z`.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-fn place(screen: &Screen, scale: f64, out: &mut Vec<[f64; 3]>) {
+fn place(screen: &Screen, scale: f64, out: &mut Vec<[f64; 4]>) {
     let Screen { u, v, z, .. } = screen;
-    out.resize(u.len(), [0.0; 3]);
+    out.resize(u.len(), [0.0; 4]);
     for (((out, u), v), z) in out.iter_mut().zip(u).zip(v).zip(z) {
-        *out = [u * scale, v * scale, 1.0 / z];
+        *out = [u * scale, v * scale, 1.0 / z, 0.0];
     }
 }
 
 /// Append those that are left after `start` earlier ones.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 fn set_up(
-    points: &[[f64; 3]],
+    points: &[[f64; 4]],
     faces: &[[u32; 3]],
     start: u32,
     (size, keep): (Size, Keep),
