@@ -172,11 +172,13 @@ impl Image<'_> {
         kept: Option<usize>,
         work: impl FnOnce(Option<&Image<'_>>) -> O,
     ) -> O {
-        let units = Units::new(size, profile.scale(size), R::REACH);
-        let widest = Units::new(size, profile.scale(size), profile.reach::<R>());
-        let whole = super::bounds(model, screen)
-            .and_then(|(low, high)| Rectangle::around(size, &widest, low, high));
-        let Some(whole) = whole else { return work(None) };
+        let faces = screen.faces(model);
+        let Some((low, high)) = super::bounds(model, screen) else { return work(None) };
+        let sides = [high[0] - low[0], high[1] - low[1]];
+        let reach = profile.reach::<R>(size, faces.len(), sides);
+        let units = Units::new(size, profile.scale(size), reach);
+        let widest = Units::new(size, profile.scale(size), profile.widest(reach));
+        let Some(whole) = Rectangle::around(size, &widest, low, high) else { return work(None) };
         // Taken out meanwhile: a thread that waits for bands may be given another image.
         let (mut runs, mut points) = (RUNS.take(), POINTS.take());
         runs.clear();
@@ -200,7 +202,6 @@ impl Image<'_> {
             }
         }
         let rows = if whole.tiles() > LARGE { BAND } else { whole.count[1] };
-        let faces = screen.faces(model);
         let reach = widest.reach_in_pixels(1);
         let image = Image {
             profile,

@@ -11,14 +11,16 @@
 //! The image is cut into tiles of 4x4 pixels, a lane each. Faces are measured in widths, so that
 //! `d^2` is the exponent itself, from an origin of their own, because single precision would lose
 //! thin differences of large coordinates. A tile is in use as long as a pixel of it is not known
-//! to be covered; every face visits those tiles in use that its bounding box reaches within
-//! [`Real::REACH`]. Where one edge alone gives the distance to a face all over a tile, it alone is
-//! measured (see `nearest`). The product is all that is kept, so memory is that of the image, and
+//! to be covered; every face visits those tiles in use that its bounding box reaches (see
+//! [`Profile::reach`]). Where one edge alone gives the distance to a face all over a tile, it alone is
+//! measured (see `nearest`). Sixteen faces list their tiles first (see `items`), and are measured in
+//! loops over the lists, which end where processors foresee it. The product is all that is kept, so memory is that of the image, and
 //! the gradient measures again: `dS/dp_k` is the product over the others, taken as the whole one
 //! divided by the very factor that went into it, which was kept away from 0.
 //!
-//! In single precision, faces end where `p` is below 8e-7 at every pixel of a tile. Each adds at
-//! most that to the error; over a mesh of 5,013 small faces and 64 views the masks are within
+//! In single precision, faces end where `p` is below 8e-7 at every pixel of a tile, or below 2.5e-8 if
+//! they are dense: what many of them leave out adds up. Spheres of up to 330,000 faces are within
+//! 3e-5 of the exact mask. Over a mesh of 5,013 small faces and 64 views the masks are within
 //! 2.5e-5 of the exact ones, and gradients for vertices within 1.6e-4 (DIB-R) and 6.7e-4 (sigmoid)
 //! of their largest entry. Where a width is below 1/430 of half the image, rounding would count,
 //! and double precision is used instead.
@@ -100,6 +102,9 @@ pub(super) enum Profile {
     Sigmoid(f64),
 }
 
+/// What faces out of reach may add to a mask of single precision.
+const MOST_LEFT_OUT: f64 = 2e-5;
+
 /// Single precision would be too coarse for widths below this part of the image.
 const FINEST_SINGLE: f64 = 1.0 / 430.0;
 
@@ -115,11 +120,22 @@ impl Profile {
         }
     }
 
-    /// How far a face reaches or is counted, as an exponent.
-    fn reach<R: Real>(self) -> f64 {
+    /// How far a face reaches as an exponent, where `faces` share a box of so many pixels.
+    ///
+    /// What is left out of a mask beside them is about `pi / 2` times the faces on a square of the
+    /// profile's width, times `exp` of minus this; eight times that where they are denser.
+    fn reach<R: Real>(self, size: Size, faces: usize, sides: [f64; 2]) -> f64 {
+        let scale = self.scale(size);
+        let area = (sides[0] * scale[0] + 2.0) * (sides[1] * scale[1] + 2.0);
+        let density = 4.0 * std::f64::consts::PI * faces as f64 / area;
+        (density / MOST_LEFT_OUT).ln().clamp(R::REACH, R::FURTHEST)
+    }
+
+    /// How far a face reaches or is counted.
+    fn widest(self, reach: f64) -> f64 {
         match self {
-            Self::Kaolin(delta, cutoff) => R::REACH.max(cutoff.boxlen.powi(2) * delta),
-            _ => R::REACH,
+            Self::Kaolin(delta, cutoff) => reach.max(cutoff.boxlen.powi(2) * delta),
+            _ => reach,
         }
     }
 

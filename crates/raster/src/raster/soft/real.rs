@@ -51,9 +51,10 @@ pub(super) trait Real:
     + Sync
     + 'static
 {
-    /// A face is left out of the mask where its exponent is larger: `exp` of its negative is below
-    /// the rounding of 1.
+    /// Where its exponent is larger, a face is left out of the mask of a mesh with few faces...
     const REACH: f64;
+    /// ... and of any mesh: `exp` of its negative is below the rounding of 1.
+    const FURTHEST: f64;
     /// What a factor of the product is at least when it is taken out again. The pixel lies on
     /// the face then, and the product is too small to count.
     const LEAST_FACTOR: Self;
@@ -143,6 +144,7 @@ macro_rules! plain {
 
 impl Real for f32 {
     const REACH: f64 = 14.0;
+    const FURTHEST: f64 = 17.5;
     const LEAST_FACTOR: Self = 1e-7;
     const LEAST_PRODUCT: Self = 1e-30;
     const FULL: Self = 1e-7;
@@ -181,6 +183,7 @@ impl Real for f32 {
 
 impl Real for f64 {
     const REACH: f64 = 41.5;
+    const FURTHEST: f64 = 41.5;
     const LEAST_FACTOR: Self = 1e-16;
     const LEAST_PRODUCT: Self = 1e-200;
     const FULL: Self = 1e-22;

@@ -215,6 +215,29 @@ fn exact_masks_are_those_of_the_definition() {
 }
 
 #[test]
+fn single_precision_will_do_for_any_number_of_faces() {
+    let size = Size { height: 40, width: 50 };
+    for cells in [10, 40, 160] {
+        // Two triangles a cell, on a square of ten pixels.
+        let point = |k: usize| 20.3 + 10.0 * k as f64 / cells as f64;
+        let points = (0..(cells + 1) * (cells + 1))
+            .map(|k| [point(k % (cells + 1)), point(k / (cells + 1)) - 5.0, 1.0])
+            .collect();
+        let faces = (0..cells * cells).flat_map(|k| {
+            let at = |x: usize, y: usize| ((k / cells + y) * (cells + 1) + k % cells + x) as u32;
+            [[at(0, 0), at(1, 0), at(0, 1)], [at(1, 1), at(0, 1), at(1, 0)]]
+        });
+        let scene = Scene { points, faces: faces.collect(), size };
+        for mode in
+            [Mode::Dibr { delta: 300.0, cutoff: None }, Mode::Sigmoid { sigma: 3e-3, cutoff: None }]
+        {
+            let error = difference(&scene.draw::<f32>(mode), &scene.draw::<f64>(mode));
+            assert!(error < 5e-5, "{cells} {mode:?}: {error}");
+        }
+    }
+}
+
+#[test]
 fn thin_widths_are_drawn_in_double_precision() {
     for (delta, tolerance) in [(3e7, 1e-6), (1.8e5, 5e-5)] {
         let mode = Mode::Dibr { delta, cutoff: None };
