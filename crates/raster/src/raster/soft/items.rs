@@ -101,17 +101,22 @@ impl Items {
         self.first[record % LANES] + (tile / 8) * self.stride + tile % 8
     }
 
-    /// One face after another.
-    fn list_plain(&mut self, one: &[[u64; LANES]; 3]) {
+    /// One face after another, a word of bits by `add`.
+    #[inline(always)]
+    fn list(&mut self, one: &[[u64; LANES]; 3], add: impl Fn(&mut List, u8, u64)) {
         (self.one.length, self.all.length) = (0, 0);
         for lane in 0..LANES {
             let mut rest = self.used[lane];
             for (k, one) in one.iter().enumerate() {
-                self.one.add((LANES * k + lane) as u8, one[lane] & rest);
+                add(&mut self.one, (LANES * k + lane) as u8, one[lane] & rest);
                 rest &= !one[lane];
             }
-            self.all.add(lane as u8, rest);
+            add(&mut self.all, lane as u8, rest);
         }
+    }
+
+    fn list_plain(&mut self, one: &[[u64; LANES]; 3]) {
+        self.list(one, List::add);
     }
 }
 
@@ -144,15 +149,7 @@ mod avx512 {
     #[inline]
     #[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
     pub(super) fn list(items: &mut Items, one: &[[u64; LANES]; 3]) {
-        (items.one.length, items.all.length) = (0, 0);
-        for lane in 0..LANES {
-            let mut rest = items.used[lane];
-            for (k, one) in one.iter().enumerate() {
-                add(&mut items.one, (LANES * k + lane) as u8, one[lane] & rest);
-                rest &= !one[lane];
-            }
-            add(&mut items.all, lane as u8, rest);
-        }
+        items.list(one, |list, record, bits| add(list, record, bits));
     }
 
     #[inline]

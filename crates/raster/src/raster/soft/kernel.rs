@@ -5,7 +5,7 @@ use multiversion::multiversion;
 use super::faces::{Block, Source};
 use super::items::Items;
 use super::real::{LANES, Lanes, Real};
-use super::sums::{Edge, Sums};
+use super::sums::{EdgeSums, Sums};
 use super::tiles::Tiles;
 
 /// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
@@ -276,7 +276,7 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
 pub(super) fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
     from: &Measured<R>,
     values: &Lanes<R>,
-    sums: &mut Edge<R>,
+    sums: &mut EdgeSums<R>,
     mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {

@@ -22,7 +22,7 @@
 //! they are dense: what many of them leave out adds up. Spheres of up to 330,000 faces are within
 //! 3e-5 of the exact mask. Over a mesh of 5,013 small faces and 64 views the masks are within
 //! 2.5e-5 of the exact ones, and gradients for vertices within 1.6e-4 (DIB-R) and 6.7e-4 (sigmoid)
-//! of their largest entry. Where a width is below 1/430 of half the image, rounding would count,
+//! of their largest entry. Where a width is below 1/300 of half the image, rounding would count,
 //! and double precision is used instead.
 
 #![expect(
@@ -106,7 +106,7 @@ pub(super) enum Profile {
 const MOST_LEFT_OUT: f64 = 2e-5;
 
 /// Single precision would be too coarse for widths below this part of the image.
-const FINEST_SINGLE: f64 = 1.0 / 430.0;
+const FINEST_SINGLE: f64 = 1.0 / 300.0;
 
 impl Profile {
     /// Widths in a pixel, per axis.

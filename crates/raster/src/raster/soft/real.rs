@@ -5,7 +5,7 @@ use std::fmt::Debug;
 use std::ops::{Add, Deref, DerefMut, Div, Mul, Neg, Sub};
 
 use super::bands::Scratch;
-use super::sums::{self, Edges, Totals};
+use super::sums::{self, BlockSums, Totals};
 use crate::raster::spare::Spare;
 
 /// Pixels of a tile: 4 rows of 4.
@@ -81,7 +81,7 @@ pub(super) trait Real:
     /// `2^-self` for `self >= 0`, accurate to a few units of the last place of 1.
     fn exp2_negative<const FMA: bool>(self) -> Self;
     /// Sums over the lanes, in a fixed order.
-    fn totals(edges: &Edges<Self>) -> Totals<Self>;
+    fn totals(edges: &BlockSums<Self>) -> Totals<Self>;
     fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O;
     /// Memory of products that nobody needs any more.
     fn spare() -> &'static Spare<Lanes<Self>>;
@@ -151,7 +151,7 @@ impl Real for f32 {
     const SAME: Self = 1e-15;
     plain!(SINGLE, SPARE_SINGLE, f32);
 
-    fn totals(edges: &Edges<Self>) -> Totals<Self> {
+    fn totals(edges: &BlockSums<Self>) -> Totals<Self> {
         sums::totals_single(edges)
     }
 
@@ -190,7 +190,7 @@ impl Real for f64 {
     const SAME: Self = 1e-120;
     plain!(DOUBLE, SPARE_DOUBLE, f64);
 
-    fn totals(edges: &Edges<Self>) -> Totals<Self> {
+    fn totals(edges: &BlockSums<Self>) -> Totals<Self> {
         sums::totals(edges)
     }
 

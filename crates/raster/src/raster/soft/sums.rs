@@ -7,15 +7,15 @@ use super::real::{LANES, Lanes, Real};
 
 /// Of an edge, over the pixels of a tile in lanes: weight times `across`, `across * along`, `beyond`
 /// with the sign of the end, `beyond`; `along` ends at the ends of the edge.
-pub(super) type Edge<R> = [Lanes<R>; 4];
+pub(super) type EdgeSums<R> = [Lanes<R>; 4];
 
 /// Edge `k` of face `lane` is at `16 k + lane`; a quarter is nothing and spares a check of the index.
-pub(super) type Edges<R> = [Edge<R>; 4 * LANES];
+pub(super) type BlockSums<R> = [EdgeSums<R>; 4 * LANES];
 
 /// Sums of a block.
 #[derive(Debug)]
 pub(super) struct Sums<R> {
-    pub(super) edges: Edges<R>,
+    pub(super) edges: BlockSums<R>,
     /// Faces that have any.
     pub(super) any: [bool; LANES],
 }
@@ -30,7 +30,7 @@ impl<R: Real> Sums<R> {
 
     /// Those of the edge with this record.
     #[inline(always)]
-    pub(super) fn of(&mut self, record: usize) -> &mut Edge<R> {
+    pub(super) fn of(&mut self, record: usize) -> &mut EdgeSums<R> {
         &mut self.edges[record % (4 * LANES)]
     }
 
@@ -103,7 +103,7 @@ use totals as totals_wide;
 
 /// Sums over the lanes, in a fixed order. A call of its own, for an instruction set of its own.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-pub(super) fn totals_single(edges: &Edges<f32>) -> Totals<f32> {
+pub(super) fn totals_single(edges: &BlockSums<f32>) -> Totals<f32> {
     multiversion::target::match_target! {
         "x86_64+avx512f" => totals_wide(edges),
         _ => totals(edges),
@@ -112,7 +112,7 @@ pub(super) fn totals_single(edges: &Edges<f32>) -> Totals<f32> {
 
 /// Sums over the lanes, in a fixed order: (0 + 8 + 4 + 12) + (2 + 10 + 6 + 14), and the odd ones.
 #[inline(always)]
-pub(super) fn totals<R: Real>(edges: &Edges<R>) -> Totals<R> {
+pub(super) fn totals<R: Real>(edges: &BlockSums<R>) -> Totals<R> {
     let mut totals = [[[R::ZERO; LANES]; 4]; 3];
     for (total, faces) in totals.iter_mut().zip(edges.chunks_exact(LANES)) {
         for (lane, sums) in faces.iter().enumerate() {
@@ -136,12 +136,12 @@ mod avx512 {
         _mm512_unpackhi_pd, _mm512_unpackhi_ps, _mm512_unpacklo_pd, _mm512_unpacklo_ps,
     };
 
-    use super::{Edges, LANES, Totals};
+    use super::{BlockSums, LANES, Totals};
 
     /// The same bits as [`super::totals`], sixteen faces at a time.
     #[inline]
     #[target_feature(enable = "avx512f")]
-    pub(super) fn totals(edges: &Edges<f32>) -> Totals<f32> {
+    pub(super) fn totals(edges: &BlockSums<f32>) -> Totals<f32> {
         let mut totals = [[[0.0; LANES]; 4]; 3];
         for (total, faces) in totals.iter_mut().zip(edges.chunks_exact(LANES)) {
             for (k, total) in total.iter_mut().enumerate() {
