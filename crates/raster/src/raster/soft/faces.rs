@@ -139,10 +139,15 @@ impl<R: Real> Block<R> {
                 self.tiles[2 * axis + 1][l] = to.most(0.0).least(count).floor_i32();
             }
         }
+        // From the first corner, or a face smaller than the digits of its place would lose its shape.
         let mut points = [[R::ZERO; LANES]; 6];
-        for (k, point) in points.iter_mut().enumerate() {
-            for l in 0..LANES {
-                point[l] = R::of(corners[k][l] - self.origin(source, l)[k % 2]);
+        let mut place = [[R::ZERO; LANES]; 2];
+        for l in 0..LANES {
+            let origin = self.origin(source, l);
+            for axis in 0..2 {
+                place[axis][l] = R::of(corners[axis][l] - origin[axis]);
+                points[axis + 2][l] = R::of(corners[axis + 2][l] - corners[axis][l]);
+                points[axis + 4][l] = R::of(corners[axis + 4][l] - corners[axis][l]);
             }
         }
         for k in 0..3 {
@@ -159,7 +164,7 @@ impl<R: Real> Block<R> {
                 let ex = if point { R::ONE } else { dx * inverse };
                 let ey = if point { R::ZERO } else { dy * inverse };
                 let two = R::ONE + R::ONE;
-                let (mx, my) = ((px + qx) / two, (py + qy) / two);
+                let (mx, my) = (place[0][l] + (px + qx) / two, place[1][l] + (py + qy) / two);
                 edges.x[k][l] = ex;
                 edges.y[k][l] = ey;
                 edges.along[k][l] = -(ex * mx + ey * my);

@@ -238,6 +238,23 @@ fn single_precision_will_do_for_any_number_of_faces() {
 }
 
 #[test]
+fn faces_smaller_than_their_digits_keep_their_shape() {
+    let size = Size { height: 19, width: 25 };
+    for (tiny, turn) in [(1e-5, 0.1), (1e-8, 0.8), (1e-11, 2.0), (1e-12, 4.0)] {
+        let corner = |k: f64| {
+            let (sin, cos) = (turn + 2.1 * k).sin_cos();
+            [14.909_519 + tiny * cos, 4.596_29 + tiny * sin, 1.0]
+        };
+        let points = vec![corner(0.0), corner(1.0), corner(2.0)];
+        let scene = Scene { points, faces: vec![[0, 1, 2]], size };
+        for mode in EXACT {
+            let error = difference(&scene.draw::<f32>(mode), &oracle(&scene, mode));
+            assert!(error < 2e-5, "{tiny} {mode:?}: {error}");
+        }
+    }
+}
+
+#[test]
 fn thin_widths_are_drawn_in_double_precision() {
     // The last is drawn in single precision, just.
     for (delta, tolerance) in [(3e7, 1e-6), (6.3e4, 1e-6), (6.2e4, 5e-5)] {
