@@ -40,10 +40,10 @@ def column(k):
 
 
 def video(path, n=12, size=(96, 128), rate=20.0):
-    """A disc that moves to the right and shakes."""
+    """A disc that moves to the right and shakes; it begins anew before it leaves the image."""
     with video_writer(path, rate) as add:
         for k in range(n):
-            add(finder.spot(*size, column(k), 40.0, 9.0))
+            add(finder.spot(*size, column(k % 20), 40.0, 9.0))
     return path
 
 
