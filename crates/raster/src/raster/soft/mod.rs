@@ -12,11 +12,12 @@
 //! `d^2` is the exponent itself, from an origin of their own, because single precision would lose
 //! thin differences of large coordinates. A tile is in use as long as a pixel of it is not known
 //! to be covered; every face visits those tiles in use that its bounding box reaches (see
-//! [`Profile::reach`]). Where one edge alone gives the distance to a face all over a tile, it alone is
-//! measured (see `nearest`). Sixteen faces list their tiles first (see `items`), and are measured in
-//! loops over the lists, which end where processors foresee it. The product is all that is kept, so memory is that of the image, and
-//! the gradient measures again: `dS/dp_k` is the product over the others, taken as the whole one
-//! divided by the very factor that went into it, which was kept away from 0.
+//! [`Profile::reach`]). Where one edge alone gives the distance to a face all over a tile, it alone
+//! is measured (see `nearest`). Sixteen faces list their tiles first (see `items`), and are measured
+//! in loops over the lists, which end where processors foresee it. The product is all that is kept,
+//! so memory is that of the image, and the gradient measures again: `dS/dp_k` is the product over
+//! the others, taken as the whole one divided by the very factor that went into it, which was kept
+//! away from 0.
 //!
 //! In single precision, faces end where `p` is below 8e-7 at every pixel of a tile, or below 2.5e-8 if
 //! they are dense: what many of them leave out adds up. Spheres of up to 330,000 faces are within

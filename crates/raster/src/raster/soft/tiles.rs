@@ -167,13 +167,11 @@ impl<R: Real> Places<R> {
         Some([x, y])
     }
 
-    /// Of the tile `(column, row)` from another one.
+    /// Of the tile so many columns to the right and rows down.
     #[inline(always)]
-    pub(super) fn from(&self, tile: [u32; 2], origin: [i32; 2]) -> [&Lanes<R>; 2] {
-        let at = |axis: usize| {
-            (tile[axis].cast_signed() - origin[axis]) as isize + self.count[axis] as isize
-        };
-        [&self.x[at(0) as usize], &self.y[at(1) as usize]]
+    pub(super) fn at(&self, [right, down]: [i32; 2]) -> [&Lanes<R>; 2] {
+        let [columns, rows] = self.count.map(|count| count as i32);
+        [&self.x[(columns + right) as usize], &self.y[(rows + down) as usize]]
     }
 }
 

@@ -58,6 +58,7 @@ impl<'a, 'b> Boxes<'a, 'b> {
             let (left, right) = (bounds[0] - x, -bounds[2] - x);
             let (top, bottom) = (bounds[1] - y, -bounds[3] - y);
             let (columns, rows) = (end(right, across), end(bottom, down));
+            let begin = [block.tiles[0][lane], block.tiles[2][lane]];
             if left >= right || top >= bottom {
                 continue;
             }
@@ -77,7 +78,7 @@ impl<'a, 'b> Boxes<'a, 'b> {
                         let at = r * across + c;
                         let pixels = in_columns[bit % 8] & in_rows[bit / 8 % 8] & tiles.open[at];
                         let record = LANES as u32 * edge_of(one, bit) + lane as u32;
-                        let (place, at) = ([c as u32, r as u32], at as u32);
+                        let (place, at) = ([c as i32 - begin[0], r as i32 - begin[1]], at as u32);
                         list[count] = Met { record, place, at, pixels };
                         count += usize::from(pixels != 0);
                         used &= used - 1;
@@ -129,8 +130,8 @@ fn edge_of(one: [u64; 3], at: usize) -> u32 {
 pub(super) struct Met {
     /// `16 k + lane` for the one edge `k` to measure of a face of the block, with 3 for [`ALL`].
     record: u32,
-    /// `(column, row)`.
-    place: [u32; 2],
+    /// `(column, row)` from the first tile within reach of the face.
+    place: [i32; 2],
     /// Among all tiles.
     at: u32,
     /// Those in the box that are not covered, a bit each.
@@ -201,7 +202,7 @@ fn draw_all<R: Real, const FMA: bool>(boxes: Boxes<'_, '_>, tiles: &mut Tiles<R>
         for tile in &list[..met] {
             let (record, at) = (tile.record as usize, tile.at as usize);
             let lane = record % LANES;
-            let place = places.from(tile.place, [block.tiles[0][lane], block.tiles[2][lane]]);
+            let place = places.at(tile.place);
             let (values, met) = (&mut values[at], &mut counts[at]);
             let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
             if record >= ALL {
@@ -236,7 +237,7 @@ fn back_all<R: Real, const FMA: bool>(
         for tile in &list[..met] {
             let (record, at) = (tile.record as usize, tile.at as usize);
             let lane = record % LANES;
-            let place = places.from(tile.place, [block.tiles[0][lane], block.tiles[2][lane]]);
+            let place = places.at(tile.place);
             let (values, met) = (&values[at], &mut counts[at]);
             let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
             sums.any[lane] = true;
