@@ -43,6 +43,10 @@ impl Solver {
         layers: i32,
         sink: &mut impl Sink,
     ) {
+        if is_covered(pieces, layers) {
+            sink.area(rectangle.area());
+            return;
+        }
         if pieces.len() > MOST {
             self.halve(rectangle, pieces, layers, sink);
             return;
@@ -56,11 +60,7 @@ impl Solver {
 
     #[inline(never)]
     fn halve(&mut self, rectangle: Rectangle, pieces: &[Piece], layers: i32, sink: &mut impl Sink) {
-        // What the pieces can take away from the layers at the corner (see `rows::Entered`).
-        let taken =
-            |p: &Piece| if p.flags & LEFT_0 != 0 { p.step.max(0) } else { (-p.step).max(0) };
-        let covered = layers > pieces.iter().map(taken).sum();
-        if covered || rectangle.right - rectangle.left < SMALL {
+        if rectangle.right - rectangle.left < SMALL {
             if layers > 0 {
                 sink.area(rectangle.area());
             }
@@ -72,6 +72,14 @@ impl Solver {
             self.spare.push(pieces);
         }
     }
+}
+
+/// Whether there are more layers at the upper left corner than the pieces can take away (see
+/// `Columns`). The other corners find little more, and cost more than that.
+#[inline(always)]
+fn is_covered(pieces: &[Piece], layers: i32) -> bool {
+    let taken = |p: &Piece| if p.flags & LEFT_0 != 0 { p.step.max(0) } else { (-p.step).max(0) };
+    layers > pieces.iter().map(taken).sum()
 }
 
 impl Plain {
