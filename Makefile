@@ -40,10 +40,17 @@ test: wheel chromium lint test-rust test-python  ## Install what is missing and 
 lint: wheel  ## Formatting, clippy, ruff, mypy, stubs
 	cargo fmt --check
 	cargo clippy --workspace --all-targets --features python -- -D warnings
+	$(MAKE) lint-native
 	$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m mypy.stubtest dronepose._native
 	@test "$$(cargo tree -i glam --depth 0 2>/dev/null | wc -l)" = 1 || { cargo tree -i glam; exit 1; }
+
+.PHONY: lint-native
+lint-native:  # Builds for one processor leave out what others look for at run time.
+	@case "$$(uname -m)" in x86_64) for cpu in x86-64-v3 icelake-server; do \
+	    RUSTFLAGS="-C target-cpu=$$cpu -D warnings" \
+	    cargo check --quiet --package dronepose-raster --lib --target-dir target/$$cpu || exit 1; done;; esac
 
 test-rust:  ## Unit tests, property tests, command-line transcripts
 	cargo test --workspace

@@ -38,3 +38,11 @@ pub mod threads;
 pub use error::{Error, Place, Result};
 pub use mesh::Mesh;
 pub use pose::Pose;
+
+/// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
+/// `mul_add` is a library call.
+#[cfg_attr(
+    all(target_feature = "avx2", target_feature = "fma", not(test)),
+    expect(dead_code, reason = "what such a build dispatches to has the instruction anyway")
+)]
+pub(crate) const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));

@@ -3,7 +3,7 @@
 use multiversion::multiversion;
 
 use super::gaussian::{self, Taps};
-use super::{FUSED, Products, Sample, Scratch, Size};
+use super::{Products, Sample, Scratch, Size};
 
 /// Tanimoto over several widths.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
@@ -17,7 +17,7 @@ pub(super) fn tanimoto<T: Sample>(
 ) -> f64 {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => all_widths::<T, true>(widths, eps, masks, size, gradient, scratch),
-        _ => all_widths::<T, FUSED>(widths, eps, masks, size, gradient, scratch),
+        _ => all_widths::<T, { crate::FUSED }>(widths, eps, masks, size, gradient, scratch),
     }
 }
 
@@ -32,7 +32,7 @@ pub(super) fn blurred<T: Sample>(
 ) -> f64 {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => difference::<T, true>(taps, masks, size, gradient, scratch),
-        _ => difference::<T, FUSED>(taps, masks, size, gradient, scratch),
+        _ => difference::<T, { crate::FUSED }>(taps, masks, size, gradient, scratch),
     }
 }
 

@@ -76,10 +76,6 @@ impl Sample for f64 {
     }
 }
 
-/// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
-/// `mul_add` is a library call.
-const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
-
 /// Pixels of a row that are added up side by side.
 const LANES: usize = 32;
 

@@ -4,7 +4,7 @@ use multiversion::multiversion;
 
 use super::boxes::Window;
 use super::gaussian::Taps;
-use super::{FUSED, Products, Sample, Scratch, Size};
+use super::{Products, Sample, Scratch, Size};
 
 /// With a square window.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
@@ -17,7 +17,7 @@ pub(super) fn with_box<T: Sample>(
 ) -> f64 {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => boxed::<T, true>(window, masks, size, gradient, scratch),
-        _ => boxed::<T, FUSED>(window, masks, size, gradient, scratch),
+        _ => boxed::<T, { crate::FUSED }>(window, masks, size, gradient, scratch),
     }
 }
 
@@ -32,7 +32,7 @@ pub(super) fn with_gaussian<T: Sample>(
 ) -> f64 {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => gaussian::<T, true>(taps, masks, size, gradient, scratch),
-        _ => gaussian::<T, FUSED>(taps, masks, size, gradient, scratch),
+        _ => gaussian::<T, { crate::FUSED }>(taps, masks, size, gradient, scratch),
     }
 }
 

@@ -116,7 +116,7 @@ fn whole_sums<const P: usize>(blocks: &[Block], screws: &[Screw; P]) -> [f64; P]
     multiversion::target::match_target! {
         "x86_64+avx512f" => wide::whole_sums(blocks, screws),
         "x86_64+avx2+fma" => plain::<P, true, true>(blocks, screws),
-        _ => plain::<P, FUSED, false>(blocks, screws),
+        _ => plain::<P, { crate::FUSED }, false>(blocks, screws),
     }
 }
 
@@ -129,13 +129,9 @@ fn counted_sums<const P: usize>(blocks: &[CountedBlock], screws: &[Screw; P]) ->
     multiversion::target::match_target! {
         "x86_64+avx512f" => wide::counted_sums(blocks, screws),
         "x86_64+avx2+fma" => plain_counted::<P, true>(blocks, screws),
-        _ => plain_counted::<P, FUSED>(blocks, screws),
+        _ => plain_counted::<P, { crate::FUSED }>(blocks, screws),
     }
 }
-
-/// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
-/// `mul_add` is a library call.
-pub(crate) const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
 
 /// `a * b + c`.
 #[inline(always)]
@@ -426,7 +422,7 @@ mod tests {
         fn avx2(blocks: &[Block], screw: &Screw) -> f64 {
             multiversion::target::match_target! {
                 "x86_64+avx2+fma" => plain::<1, true, true>(blocks, &[*screw])[0],
-                _ => plain::<1, FUSED, false>(blocks, &[*screw])[0],
+                _ => plain::<1, { crate::FUSED }, false>(blocks, &[*screw])[0],
             }
         }
         fn time(work: impl Fn() -> f64) -> f64 {
@@ -448,7 +444,7 @@ mod tests {
         let best = time(|| whole_sums(&all, &[screw])[0]);
         let two = time(|| whole_sums(&all, &[screw; 2])[0]) / 2.0;
         let avx2 = time(|| avx2(&all, &screw));
-        let base = time(|| plain::<1, FUSED, false>(&all, &[screw])[0]);
+        let base = time(|| plain::<1, { crate::FUSED }, false>(&all, &[screw])[0]);
         println!("us a pose: best {best}, in pairs {two}, AVX2 {avx2}, baseline {base}");
         assert!(best <= base && two <= base);
     }

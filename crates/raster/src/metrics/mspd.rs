@@ -1,7 +1,7 @@
 //! Distances of corresponding image points: MSPD, the maximum symmetry-aware projection distance
 //! (BOP 2019), and the mean projection error (Brachmann et al., CVPR 2016).
 
-use super::add::{FUSED, mul_add};
+use super::add::mul_add;
 use super::motion::Motion;
 use super::mssd::after;
 use super::vertices::{Block, CountedBlock, LANES, VertexSet};
@@ -111,7 +111,7 @@ struct Compared {
 fn project(blocks: &[CountedBlock], map: &Map, images: &mut [Image]) -> f64 {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => project_all::<true>(blocks, map, images),
-        _ => project_all::<FUSED>(blocks, map, images),
+        _ => project_all::<{ crate::FUSED }>(blocks, map, images),
     }
 }
 
@@ -123,7 +123,7 @@ fn project(blocks: &[CountedBlock], map: &Map, images: &mut [Image]) -> f64 {
 fn compare(blocks: &[CountedBlock], images: &[Image], map: &Map) -> Compared {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => compare_all::<true>(blocks, images, map),
-        _ => compare_all::<FUSED>(blocks, images, map),
+        _ => compare_all::<{ crate::FUSED }>(blocks, images, map),
     }
 }
 
@@ -135,7 +135,7 @@ fn compare(blocks: &[CountedBlock], images: &[Image], map: &Map) -> Compared {
 fn greatest_below(blocks: &[CountedBlock], images: &[Image], map: &Map, best: f64) -> Option<f64> {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => greatest_of::<true>(blocks, images, map, best),
-        _ => greatest_of::<FUSED>(blocks, images, map, best),
+        _ => greatest_of::<{ crate::FUSED }>(blocks, images, map, best),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use glam::{DQuat, DVec3};
 
-use super::add::{FUSED, squared};
+use super::add::squared;
 use super::motion::{Motion, Moved, Screw, turn_minus_one};
 use super::vertices::{Block, LANES, VertexSet};
 use crate::pose::Pose;
@@ -65,7 +65,7 @@ fn greatest(set: &VertexSet, moved: &Moved) -> f64 {
 fn greatest_square(blocks: &[Block], screw: &Screw) -> f64 {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => plain::<true>(blocks, screw),
-        _ => plain::<FUSED>(blocks, screw),
+        _ => plain::<{ crate::FUSED }>(blocks, screw),
     }
 }
 

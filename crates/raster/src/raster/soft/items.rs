@@ -124,8 +124,11 @@ impl Items {
 // to call.
 #[cfg(all(target_arch = "x86_64", not(target_feature = "avx512vbmi2")))]
 use self::avx512::list as list_wide;
+
 #[cfg(all(target_arch = "x86_64", target_feature = "avx512vbmi2"))]
-use Items::list_plain as list_wide;
+fn list_wide(items: &mut Items, one: &[[u64; LANES]; 3]) {
+    items.list_plain(one);
+}
 
 /// A call of its own, for an instruction set of its own.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vbmi2+popcnt"))]

@@ -8,16 +8,12 @@ use super::real::{LANES, Lanes, Real};
 use super::sums::{EdgeSums, Sums};
 use super::tiles::Tiles;
 
-/// Whether every machine of the build's target multiplies and adds in one instruction; elsewhere
-/// `mul_add` is a library call.
-pub(super) const FUSED: bool = cfg!(any(target_arch = "aarch64", target_feature = "fma"));
-
 /// Multiply the values of the tiles in use by what each face leaves uncovered: `1 - p`.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 pub(super) fn draw<R: Real, const SIGMOID: bool>(source: &Source<'_>, tiles: &mut Tiles<R>) {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => draw_all::<R, true, SIGMOID>(source, tiles),
-        _ => draw_all::<R, FUSED, SIGMOID>(source, tiles),
+        _ => draw_all::<R, { crate::FUSED }, SIGMOID>(source, tiles),
     }
 }
 
@@ -33,7 +29,7 @@ pub(super) fn back<R: Real, const SIGMOID: bool>(
 ) {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => back_all::<R, true, SIGMOID>(source, tiles, factor, du, dv),
-        _ => back_all::<R, FUSED, SIGMOID>(source, tiles, factor, du, dv),
+        _ => back_all::<R, { crate::FUSED }, SIGMOID>(source, tiles, factor, du, dv),
     }
 }
 

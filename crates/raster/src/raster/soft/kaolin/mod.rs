@@ -19,7 +19,7 @@ pub(super) use self::cover::cover;
 pub(super) use self::points::Points;
 use self::points::of_face;
 use super::faces::{Block, Source};
-use super::kernel::{self, FUSED, Measured, Pixels};
+use super::kernel::{self, Measured, Pixels};
 use super::real::{LANES, Real};
 use super::sums::Sums;
 use super::tiles::{Rectangle, SIDE, Tiles};
@@ -170,7 +170,7 @@ impl Pixels for Counted<'_> {
 pub(super) fn draw<R: Real>(boxes: Boxes<'_, '_>, tiles: &mut Tiles<R>) {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => draw_all::<R, true>(boxes, tiles),
-        _ => draw_all::<R, FUSED>(boxes, tiles),
+        _ => draw_all::<R, { crate::FUSED }>(boxes, tiles),
     }
 }
 
@@ -185,7 +185,7 @@ pub(super) fn back<R: Real>(
 ) {
     multiversion::target::match_target! {
         "x86_64+avx2+fma" => back_all::<R, true>(boxes, tiles, factor, [du, dv]),
-        _ => back_all::<R, FUSED>(boxes, tiles, factor, [du, dv]),
+        _ => back_all::<R, { crate::FUSED }>(boxes, tiles, factor, [du, dv]),
     }
 }
 
