@@ -122,8 +122,7 @@ impl Batch<'_> {
     /// If `out` has another length.
     pub fn draw<T: Pixel>(&self, out: &mut [T]) -> Result<()> {
         self.check_masks(out)?;
-        (out.par_chunks_exact_mut(self.size.pixels()).enumerate())
-            .try_for_each(|(image, out)| self.image(image, out, false).map(|_| ()))
+        self.images(out).try_for_each(|(image, out)| self.image(image, out, false).map(|_| ()))
     }
 
     /// As [`draw`](Self::draw), keeping what [`gradients_of`](Self::gradients_of) would have to find
@@ -136,10 +135,19 @@ impl Batch<'_> {
     /// As [`Batch::draw`].
     pub fn draw_traced<T: Pixel>(&self, out: &mut [T]) -> Result<Traces> {
         self.check_masks(out)?;
-        (out.par_chunks_exact_mut(self.size.pixels()).enumerate())
-            .map(|(image, out)| self.image(image, out, true))
-            .collect::<Result<_>>()
-            .map(Traces)
+        let mut traces = vec![None; self.views.len()];
+        self.images(out).zip(&mut traces).try_for_each(|((image, out), trace)| {
+            self.image(image, out, true).map(|found| *trace = found)
+        })?;
+        Ok(Traces(traces))
+    }
+
+    /// The images of a batch. Some cost many times as much as others: each is a task of its own.
+    fn images<'a, T: Pixel>(
+        &self,
+        out: &'a mut [T],
+    ) -> impl IndexedParallelIterator<Item = (usize, &'a mut [T])> + use<'a, T> {
+        out.par_chunks_exact_mut(self.size.pixels()).enumerate().with_max_len(1)
     }
 
     fn check_masks<T>(&self, masks: &[T]) -> Result<()> {
@@ -215,14 +223,14 @@ impl Batch<'_> {
         let count = self.views.len();
         let mut views = vec![ViewGradient::default(); count];
         if !wanted.vertices {
-            (views.par_iter_mut().enumerate())
+            (views.par_iter_mut().enumerate().with_max_len(1))
                 .try_for_each(|(k, view)| one(k, None).map(|found| *view = found))?;
             return Ok(Gradients { views, vertices: Vec::new() });
         }
         let length = |image: usize| 3 * self.model(image).vertex_count();
         if self.models.len() != 1 {
             let mut vertices: Vec<_> = (0..count).map(|k| vec![0.0; length(k)]).collect();
-            (views.par_iter_mut().zip(&mut vertices).enumerate()).try_for_each(
+            (views.par_iter_mut().zip(&mut vertices).enumerate().with_max_len(1)).try_for_each(
                 |(k, (view, vertices))| one(k, Some(vertices)).map(|found| *view = found),
             )?;
             return Ok(Gradients { views, vertices });
@@ -232,12 +240,14 @@ impl Batch<'_> {
         parts.clear();
         parts.resize(count.div_ceil(size) * length(0), 0.0);
         let groups = views.par_chunks_mut(size).zip(parts.par_chunks_mut(length(0).max(1)));
-        groups.enumerate().try_for_each(|(group, (views, vertices))| -> Result<()> {
-            for (k, view) in views.iter_mut().enumerate() {
-                *view = one(group * size + k, Some(&mut *vertices))?;
-            }
-            Ok(())
-        })?;
+        groups.enumerate().with_max_len(1).try_for_each(
+            |(group, (views, vertices))| -> Result<()> {
+                for (k, view) in views.iter_mut().enumerate() {
+                    *view = one(group * size + k, Some(&mut *vertices))?;
+                }
+                Ok(())
+            },
+        )?;
         let mut vertices = vec![0.0; length(0)];
         for part in parts.chunks(length(0).max(1)) {
             for (sum, part) in vertices.iter_mut().zip(part) {
