@@ -6,6 +6,7 @@
 //! they would wait for one another.
 
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -14,9 +15,14 @@ use crate::error::{Error, Result};
 /// More threads than this are refused: nobody means it.
 pub const MAX_THREADS: usize = 1024;
 
+/// How long the number of cores is taken for what it was: asking costs as much as a small image.
+const FRESH: Duration = Duration::from_secs(1);
+
 /// Pools of one process.
 struct Pools {
     process: u32,
+    /// How many cores it may use, and when that was asked.
+    cores: Option<(usize, Instant)>,
     shared: Vec<(usize, Arc<ThreadPool>)>,
     /// Pools of one thread that nobody uses.
     idle: Vec<ThreadPool>,
@@ -25,15 +31,14 @@ struct Pools {
 static POOLS: Mutex<Option<Pools>> = Mutex::new(None);
 
 /// Run `work` on a pool of `threads` threads; 0 means one for each core that this process may use
-/// (control groups and affinity are respected).
+/// (control groups and affinity are respected, a change of them after a second at most).
 ///
 /// Results never depend on the number: work is split by index and sums are added in index order.
 ///
 /// # Errors
 /// [`Error::Argument`] above [`MAX_THREADS`], or if the threads cannot be started.
 pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Result<T> {
-    let available = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let count = if threads == 0 { available().min(MAX_THREADS) } else { threads };
+    let count = if threads == 0 { cores().min(MAX_THREADS) } else { threads };
     if count > MAX_THREADS {
         return Err(Error::argument(
             "threads",
@@ -52,6 +57,22 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
     Ok(shared(count)?.install(work))
 }
 
+/// How many cores this process may use.
+fn cores() -> usize {
+    let now = Instant::now();
+    if let Some(Some(count)) = with_pools(|kept| still_true(kept.cores, now)) {
+        return count;
+    }
+    let count = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    with_pools(|kept| kept.cores = Some((count, now)));
+    count
+}
+
+/// What was found, unless it was too long ago.
+fn still_true(found: Option<(usize, Instant)>, now: Instant) -> Option<usize> {
+    found.filter(|(_, then)| now.saturating_duration_since(*then) < FRESH).map(|(count, _)| count)
+}
+
 /// What is kept of this process; `None` where somebody else holds it.
 ///
 /// Never waits: after a fork the lock may be held by a thread that does not exist here. Then a pool
@@ -63,7 +84,7 @@ fn with_pools<T>(work: impl FnOnce(&mut Pools) -> T) -> Option<T> {
         // The parent's threads are not in this process; dropping their pools would wait for them.
         std::mem::forget(inherited);
     }
-    let new = || Pools { process, shared: Vec::new(), idle: Vec::new() };
+    let new = || Pools { process, cores: None, shared: Vec::new(), idle: Vec::new() };
     Some(work(kept.get_or_insert_with(new)))
 }
 
@@ -115,6 +136,19 @@ mod tests {
         }
         for _ in 0..2 {
             assert!(receiver.recv_timeout(Duration::from_secs(20)).expect("both run at a time"));
+        }
+    }
+
+    #[test]
+    fn the_number_of_cores_is_asked_for_again_after_a_second() {
+        let then = Instant::now();
+        let found = Some((3, then));
+        assert_eq!(still_true(found, then + Duration::from_millis(900)), Some(3));
+        assert_eq!(still_true(found, then + Duration::from_millis(1100)), None);
+        assert_eq!(still_true(None, then), None);
+        let all = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        for _ in 0..2 {
+            assert_eq!(cores(), all);
         }
     }
 
