@@ -79,7 +79,7 @@ impl Solver {
 #[inline(always)]
 fn is_covered(pieces: &[Piece], layers: i32) -> bool {
     let taken = |p: &Piece| if p.flags & LEFT_0 != 0 { p.step.max(0) } else { (-p.step).max(0) };
-    layers > pieces.iter().map(taken).sum()
+    i64::from(layers) > pieces.iter().map(|p| i64::from(taken(p))).sum()
 }
 
 impl Plain {
@@ -93,5 +93,17 @@ impl Plain {
             let height = if s.ahead { s.to - s.from } else { s.from - s.to };
             sink.edge(s.edge, height, 0.5 * (s.from + s.to));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_may_take_away_more_layers_than_fit_in_32_bits() {
+        let piece = Piece { step: -(1 << 30), ..Piece::default() };
+        assert!(!is_covered(&[piece; 4], 5));
+        assert!(is_covered(&[piece], 5 + (1 << 30)));
     }
 }
