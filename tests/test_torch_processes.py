@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 
 import numpy as np
 import pytest
@@ -52,3 +53,42 @@ def test_a_plain_fork_draws_too():
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 0
     np.testing.assert_array_equal(render.silhouette(mesh, CAMERA, R, t), expected)
+
+
+@pytest.mark.filterwarnings(FORK_WARNING)
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="cannot fork")
+@pytest.mark.parametrize("before", [(1,), (2,), (1, 2, 1)])
+def test_a_thread_that_drew_by_itself_forks(before):
+    mesh, (R, t) = Mesh(*TETRAHEDRON), scenes.poses(np.random.default_rng(1), 5)
+    drawn = [render.silhouette(mesh, CAMERA, R, t, threads=threads) for threads in before]
+    child = os.fork()
+    if child == 0:
+        try:
+            signal.alarm(PATIENCE)
+            again = [render.silhouette(mesh, CAMERA, R, t, threads=k) for k in (1, 2, 1, 0)]
+            os._exit(0 if all(np.array_equal(mask, drawn[0]) for mask in again) else 1)
+        except BaseException:
+            os._exit(2)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    for threads in (1, 2, 0):
+        again = render.silhouette(mesh, CAMERA, R, t, threads=threads)
+        np.testing.assert_array_equal(again, drawn[0])
+
+
+def test_many_threads_draw_by_themselves():
+    mesh, (R, t) = Mesh(*TETRAHEDRON), scenes.poses(np.random.default_rng(2), 1)
+    expected, found = render.silhouette(mesh, CAMERA, R, t), []
+
+    def draw():
+        for threads in (1, 0, 2):
+            found.append(render.silhouette(mesh, CAMERA, R, t, threads=threads))
+
+    for _ in range(30):  # more in all than may each be a pool of their own
+        crowd = [threading.Thread(target=draw) for _ in range(10)]
+        for thread in crowd:
+            thread.start()
+        for thread in crowd:
+            thread.join()
+    assert len(found) == 900
+    assert all(np.array_equal(mask, expected) for mask in found)

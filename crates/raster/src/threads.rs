@@ -2,9 +2,12 @@
 //!
 //! Not rayon's global pool: that one does not survive a `fork` (as `DataLoader` workers do), and
 //! deadlocks. Pools are kept for each process and number of threads; a forked child makes its own.
-//! Callers on several threads share a pool, but one of a single thread: each has one of its own, or
-//! they would wait for one another.
+//! Callers on several threads share a pool, but for work on a single thread each is a pool of its own:
+//! they would wait for one another, and handing a small image to another thread and back takes
+//! longer than drawing it.
 
+use std::cell::OnceCell;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -14,6 +17,13 @@ use crate::error::{Error, Result};
 
 /// More threads than this are refused: nobody means it.
 pub const MAX_THREADS: usize = 1024;
+
+/// So many threads of a process may become a pool: one takes some kilobytes, for good. Beyond, work is
+/// handed over.
+const MOST_OWN: usize = 256;
+
+/// An image of at most so many pixels is not shared out among threads.
+pub const SMALL_IMAGE: usize = 1 << 17;
 
 /// How long the number of cores is taken for what it was: asking costs as much as a small image.
 const FRESH: Duration = Duration::from_secs(1);
@@ -29,6 +39,14 @@ struct Pools {
 }
 
 static POOLS: Mutex<Option<Pools>> = Mutex::new(None);
+
+/// Threads that are a pool.
+static OWN_COUNT: AtomicUsize = AtomicUsize::new(0);
+
+thread_local! {
+    /// The pool that this thread is, which no fork takes away; `None` if it cannot be one.
+    static OWN: OnceCell<Option<&'static ThreadPool>> = const { OnceCell::new() };
+}
 
 /// Run `work` on a pool of `threads` threads; 0 means one for each core that this process may use
 /// (control groups and affinity are respected, a change of them after a second at most).
@@ -46,6 +64,9 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
         ));
     }
     if count == 1 {
+        if let Some(own) = OWN.with(|own| *own.get_or_init(|| become_a_pool(MOST_OWN))) {
+            return Ok(own.install(work));
+        }
         let pool = match with_pools(|kept| kept.idle.pop()) {
             Some(Some(pool)) => pool,
             _ => build(1)?,
@@ -55,6 +76,26 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
         return Ok(result);
     }
     Ok(shared(count)?.install(work))
+}
+
+/// The number of threads for so many images of so many pixels each, where 0 leaves it open: a single
+/// small one is drawn by the caller.
+#[must_use]
+pub fn for_images(threads: usize, images: usize, pixels: usize) -> usize {
+    if threads == 0 && images == 1 && pixels <= SMALL_IMAGE { 1 } else { threads }
+}
+
+/// Make the calling thread a pool, unless it is in one already or `most` threads are. Rayon keeps it
+/// for good.
+fn become_a_pool(most: usize) -> Option<&'static ThreadPool> {
+    let count = OWN_COUNT.fetch_add(1, Ordering::Relaxed);
+    let pool = (count < most && rayon::current_thread_index().is_none())
+        .then(|| ThreadPoolBuilder::new().num_threads(1).use_current_thread().build().ok())
+        .flatten();
+    if pool.is_none() {
+        OWN_COUNT.fetch_sub(1, Ordering::Relaxed);
+    }
+    pool.map(|pool| &*Box::leak(Box::new(pool)))
 }
 
 /// How many cores this process may use.
@@ -137,6 +178,39 @@ mod tests {
         for _ in 0..2 {
             assert!(receiver.recv_timeout(Duration::from_secs(20)).expect("both run at a time"));
         }
+    }
+
+    #[test]
+    fn work_on_one_thread_stays_on_that_of_the_caller() {
+        let here = || std::thread::current().id();
+        for _ in 0..2 {
+            assert_eq!(install(1, here).expect("startable"), here());
+        }
+        // Also inside of itself; and from there a pool of more threads is to be had.
+        let inside = install(1, || (install(1, here), install(2, rayon::current_num_threads)));
+        let (inside, two) = inside.expect("startable");
+        assert_eq!((inside.expect("startable"), two.expect("startable")), (here(), 2));
+        // A thread of a pool cannot be another one: it hands over.
+        let other =
+            install(2, || (install(1, rayon::current_num_threads), install(1, here), here()));
+        let (one, there, from) = other.expect("startable");
+        assert_eq!(one.expect("startable"), 1);
+        assert_ne!(there.expect("startable"), from);
+    }
+
+    #[test]
+    fn no_more_threads_than_that_become_pools() {
+        let turn = |most| std::thread::spawn(move || become_a_pool(most).is_some()).join();
+        assert!(turn(MOST_OWN).expect("no panic"));
+        assert!(!turn(0).expect("no panic"));
+    }
+
+    #[test]
+    fn one_small_image_is_for_the_caller() {
+        assert_eq!(for_images(0, 1, 320 * 240), 1);
+        assert_eq!(for_images(0, 2, 320 * 240), 0);
+        assert_eq!(for_images(0, 1, 1920 * 1080), 0);
+        assert_eq!(for_images(2, 1, 320 * 240), 2);
     }
 
     #[test]
