@@ -55,6 +55,11 @@ lint-native:  # Builds for one processor leave out what others look for at run t
 test-rust:  ## Unit tests, property tests, command-line transcripts
 	cargo test --workspace
 
+.PHONY: miri
+miri:  ## Unsafe code under Miri: `rustup toolchain install nightly --component miri rust-src`
+	PROPTEST_CASES=16 MIRIFLAGS=-Zmiri-disable-isolation cargo +nightly miri test \
+	    --package dronepose-raster --lib --target-dir target/miri -- raster::background
+
 test-python: wheel  ## Tests of the installed wheel
 	cd tests && $(BIN)/python -m pytest -c ../pyproject.toml --rootdir .. .
 

@@ -78,11 +78,11 @@ pub fn install<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> Resu
     Ok(shared(count)?.install(work))
 }
 
-/// The number of threads for so many images of so many pixels each, where 0 leaves it open: a single
-/// small one is drawn by the caller.
+/// The number of threads that was asked for; where that was left open (0) and there is little to do,
+/// 1: the caller does it.
 #[must_use]
-pub fn for_images(threads: usize, images: usize, pixels: usize) -> usize {
-    if threads == 0 && images == 1 && pixels <= SMALL_IMAGE { 1 } else { threads }
+pub fn or_one(asked: usize, little: bool) -> usize {
+    if asked == 0 && little { 1 } else { asked }
 }
 
 /// Make the calling thread a pool, unless it is in one already or `most` threads are. Rayon keeps it
@@ -206,11 +206,9 @@ mod tests {
     }
 
     #[test]
-    fn one_small_image_is_for_the_caller() {
-        assert_eq!(for_images(0, 1, 320 * 240), 1);
-        assert_eq!(for_images(0, 2, 320 * 240), 0);
-        assert_eq!(for_images(0, 1, 1920 * 1080), 0);
-        assert_eq!(for_images(2, 1, 320 * 240), 2);
+    fn little_is_for_the_caller_unless_threads_were_asked_for() {
+        assert_eq!([or_one(0, true), or_one(0, false)], [1, 0]);
+        assert_eq!([or_one(2, true), or_one(2, false)], [2, 2]);
     }
 
     #[test]

@@ -215,10 +215,8 @@ impl Request {
             [(Share::All, slice(&mut coverage)?), (Share::Each, slice(&mut coverage_each)?)];
         // Samples are many pixels to share out.
         let sampled = shares.iter().any(|(_, out)| out.is_some());
-        let threads = match self.threads {
-            count if sampled => count,
-            count => threads::for_images(count, image[0], size.pixels()),
-        };
+        let little = image[0] == 1 && size.pixels() <= threads::SMALL_IMAGE && !sampled;
+        let threads = threads::or_one(self.threads, little);
         py.detach(|| {
             threads::install(threads, || {
                 if !out.is_empty() {
@@ -295,7 +293,7 @@ fn drawn<'py, T: Pixel + Element>(
     {
         let mut flow = flow.readwrite();
         let flow = flow.as_slice_mut()?;
-        let threads = threads::for_images(threads, image[0], height * width);
+        let threads = threads::or_one(threads, image[0] == 1);
         py.detach(|| threads::install(threads, || pairs.draw(flow, &mut found)))??;
     }
     let fate = PyArray::<u8, _>::zeros(py, IxDyn(&image), false);

@@ -88,6 +88,8 @@ fn evaluate<'py, T: Sample + numpy::Element>(
     let gradient = gradient.as_mut().map(|g| g.as_slice_mut()).transpose()?;
     let all = &mut values;
     py.detach(move || {
+        // Images are done side by side, a single one is not shared out.
+        let threads = threads::or_one(threads, all.len() == 1);
         threads::install(threads, || loss.evaluate(pred, target, size, all, gradient))?
     })?;
     Ok(values.into_pyarray(py))
@@ -124,7 +126,7 @@ fn scale<'py, T: Sample + numpy::Element>(
     let (images, out) = (images.as_slice()?, out.as_slice_mut()?);
     let pixels = (shape[1] * shape[2]).max(1);
     let work = || losses::scale(images, &factors, pixels, out);
-    Ok(py.detach(move || threads::install(threads, work))?)
+    Ok(py.detach(move || threads::install(threads::or_one(threads, shape[0] == 1), work))?)
 }
 
 /// Signed distances in pixels to the outlines of `target > 1/2`, into `out`.
@@ -153,5 +155,5 @@ fn distances<'py, T: Sample + numpy::Element>(
     let size = Size { height: shape[1], width: shape[2] };
     let (target, out) = (target.as_slice()?, out.as_slice_mut()?);
     let work = || losses::signed_distance(target, size, out);
-    Ok(py.detach(move || threads::install(threads, work))?)
+    Ok(py.detach(move || threads::install(threads::or_one(threads, shape[0] == 1), work))?)
 }

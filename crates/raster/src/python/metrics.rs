@@ -43,6 +43,7 @@ fn rotations(
     }
     let (quaternions, notable) = py.detach(|| -> crate::Result<_> {
         // On the pool of this process: rayon's global one does not survive a fork.
+        let threads = threads::or_one(threads, rows.len() < 2 * MIN_LEN);
         let converted: Vec<_> = threads::install(threads, || {
             let convert = |m: &[f64; 9]| {
                 rotation::from_matrix([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
@@ -263,6 +264,7 @@ fn map_rows(
     n: usize,
     error: impl Fn(usize) -> f64 + Sync + Send,
 ) -> crate::Result<Vec<f64>> {
+    let threads = threads::or_one(threads, n < 2 * MIN_LEN);
     threads::install(threads, || (0..n).into_par_iter().with_min_len(MIN_LEN).map(error).collect())
 }
 
@@ -301,16 +303,18 @@ pub(super) fn symmetric_orientation_error<'py>(
     Ok(py.detach(|| map_rows(threads, est.len(), error))?.into_pyarray(py))
 }
 
-/// Run `work` on the vertices of a mesh, without the GIL and on the pool of this process.
+/// Run `work` for so many poses on the vertices of a mesh, without the GIL and on the pool of this
+/// process.
 fn on_vertices<T: Send>(
     py: Python<'_>,
     mesh: &PyMesh,
+    poses: usize,
     threads: usize,
     work: impl FnOnce(&VertexSet) -> T + Send,
 ) -> crate::Result<T> {
     py.detach(|| {
         let set = mesh.vertex_set()?;
-        threads::install(threads, || work(set))
+        threads::install(threads::or_one(threads, poses == 1), || work(set))
     })
 }
 
@@ -326,7 +330,8 @@ pub(super) fn add<'py>(
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
-    let errors = on_vertices(py, &mesh, threads, |set| metrics::add_batch(set, &est, &gt))??;
+    let errors =
+        on_vertices(py, &mesh, est.len(), threads, |set| metrics::add_batch(set, &est, &gt))??;
     Ok(errors.into_pyarray(py))
 }
 
@@ -342,7 +347,8 @@ pub(super) fn adds<'py>(
     threads: usize,
 ) -> PyResult<Array1Of<'py>> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
-    let errors = on_vertices(py, &mesh, threads, |set| metrics::adds_batch(set, &est, &gt))??;
+    let errors =
+        on_vertices(py, &mesh, est.len(), threads, |set| metrics::adds_batch(set, &est, &gt))??;
     Ok(errors.into_pyarray(py))
 }
 
@@ -360,7 +366,7 @@ pub(super) fn add_passes<'py>(
 ) -> PyResult<Array1Of<'py>> {
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let thresholds = thresholds_m.as_slice()?.to_vec();
-    let counts: Vec<f64> = on_vertices(py, &mesh, threads, |set| {
+    let counts: Vec<f64> = on_vertices(py, &mesh, est.len(), threads, |set| {
         let passes = |threshold: f64| {
             (0..est.len())
                 .into_par_iter()
@@ -388,7 +394,7 @@ pub(super) fn mssd<'py>(
     let Pairs { est, gt } = Pairs::new(py, threads, &R_est, &t_est, &R_gt, &t_gt)?;
     let transforms = symmetries.0.transforms();
     let batch = |set: &VertexSet| metrics::mssd_batch(set, &est, &gt, transforms);
-    let errors = on_vertices(py, &mesh, threads, batch)??;
+    let errors = on_vertices(py, &mesh, est.len(), threads, batch)??;
     Ok(errors.into_pyarray(py))
 }
 
@@ -415,7 +421,7 @@ pub(super) fn projection<'py>(
     };
     let transforms = symmetries.0.transforms();
     let batch = |set: &VertexSet| metrics::projection_batch(set, &est, &gt, transforms, &camera);
-    let errors = on_vertices(py, &mesh, threads, batch)??;
+    let errors = on_vertices(py, &mesh, est.len(), threads, batch)??;
     let (mspd, proj): (Vec<f64>, Vec<f64>) = errors.iter().map(|e| (e.mspd, e.proj)).unzip();
     Ok((mspd.into_pyarray(py), proj.into_pyarray(py)))
 }

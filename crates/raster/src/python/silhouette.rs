@@ -198,11 +198,11 @@ impl Request<'_> {
         let models: Vec<&Model> = self.models.iter().map(|m| &*m.0).collect();
         let (views, mode, near) = (&*self.views, self.mode, self.near);
         let size = Size { height, width };
-        let threads = threads::for_images(self.threads, images, size.pixels());
+        let threads = self.threads;
         Ok(py.detach(move || {
             let batch = Batch { models: &models, views, size, mode, near };
             batch.check()?;
-            threads::install(threads, || work(&batch))?
+            threads::install(batch.threads(threads), || work(&batch))?
         })?)
     }
 }

@@ -263,6 +263,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "takes too long there")]
     fn masks_are_the_same_past_the_caches() {
         let size = Size { height: 40, width: 3000 };
         let corners = [[-1.0, -0.4, 0.0], [0.9, -0.3, 0.2], [0.1, 0.6, -0.3], [0.3, 0.2, 0.4]];

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::trace::Trace;
 use super::{Background, DEFAULT_NEAR, Mode, Model, Pixel, Screen, Size, View, ViewGradient};
 use crate::error::{Error, Result};
+use crate::threads::{self, SMALL_IMAGE};
 
 /// What to draw: poses of one model, or one pose for each of as many models.
 #[derive(Debug, Clone, Copy)]
@@ -79,7 +80,23 @@ fn lend<O>(work: impl FnOnce(&mut Scratch) -> O) -> O {
     out
 }
 
+/// A single image of so many pixels or fewer is not shared out among threads in modes whose time goes
+/// by the outline: handing it over takes longer than another thread would save.
+const SMALL_OUTLINE: usize = 1 << 20;
+
 impl Batch<'_> {
+    /// On how many threads to draw where nobody asked for a number (0): on one, that of the caller, if
+    /// it is a single small image. Results do not depend on it.
+    #[must_use]
+    pub fn threads(&self, asked: usize) -> usize {
+        let small = match self.mode {
+            Mode::Hard | Mode::Coverage { sigma: 0.0 } => SMALL_OUTLINE,
+            _ => SMALL_IMAGE,
+        };
+        let is_small = self.views.len() == 1 && self.size.pixels() <= small;
+        threads::or_one(asked, is_small)
+    }
+
     /// Refuses what cannot be drawn, by name.
     ///
     /// # Errors
@@ -256,5 +273,36 @@ impl Batch<'_> {
         }
         PARTS.set(parts);
         Ok(Gradients { views, vertices: vec![vertices] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Intrinsics;
+
+    #[test]
+    fn one_small_image_is_for_the_caller() {
+        let view = View {
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [0.0, 0.0, 1.0],
+            camera: Intrinsics::new(1.0, 1.0, 0.0, 0.0).expect("a camera"),
+        };
+        let threads = |images: usize, [height, width]: [usize; 2], mode, asked| {
+            let views = vec![view; images];
+            let size = Size { height, width };
+            Batch { models: &[], views: &views, size, mode, near: None }.threads(asked)
+        };
+        let coverage = |sigma| Mode::Coverage { sigma };
+        let dibr = Mode::Dibr { delta: 7000.0, cutoff: None };
+        for mode in [Mode::Hard, coverage(0.0), coverage(1.0), dibr] {
+            assert_eq!(threads(1, [240, 320], mode, 0), 1);
+            assert_eq!(threads(1, [240, 320], mode, 2), 2);
+            assert_eq!(threads(2, [240, 320], mode, 0), 0);
+            assert_eq!(threads(1, [1080, 1920], mode, 0), 0);
+        }
+        assert_eq!(threads(1, [720, 1280], coverage(0.0), 0), 1);
+        assert_eq!(threads(1, [720, 1280], coverage(1.0), 0), 0);
+        assert_eq!(threads(1, [720, 1280], dibr, 0), 0);
     }
 }
