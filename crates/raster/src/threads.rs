@@ -22,8 +22,8 @@ pub const MAX_THREADS: usize = 1024;
 /// handed over.
 const MOST_OWN: usize = 256;
 
-/// An image of at most so many pixels is not shared out among threads.
-pub const SMALL_IMAGE: usize = 1 << 17;
+/// An image of at most so many pixels is not shared out among threads, but in soft masks.
+pub const SMALL_IMAGE: usize = 1 << 18;
 
 /// How long the number of cores is taken for what it was: asking costs as much as a small image.
 const FRESH: Duration = Duration::from_secs(1);

@@ -80,9 +80,9 @@ fn lend<O>(work: impl FnOnce(&mut Scratch) -> O) -> O {
     out
 }
 
-/// A single image of so many pixels or fewer is not shared out among threads in modes whose time goes
-/// by the outline: handing it over takes longer than another thread would save.
-const SMALL_OUTLINE: usize = 1 << 20;
+/// Soft masks and blurs share out what is above 65,536 pixels of an image, which one of so many hardly
+/// has.
+const SMALL_SOFT: usize = 80_000;
 
 impl Batch<'_> {
     /// On how many threads to draw where nobody asked for a number (0): on one, that of the caller, if
@@ -90,8 +90,8 @@ impl Batch<'_> {
     #[must_use]
     pub fn threads(&self, asked: usize) -> usize {
         let small = match self.mode {
-            Mode::Hard | Mode::Coverage { sigma: 0.0 } => SMALL_OUTLINE,
-            _ => SMALL_IMAGE,
+            Mode::Hard | Mode::Coverage { sigma: 0.0 } => SMALL_IMAGE,
+            _ => SMALL_SOFT,
         };
         let is_small = self.views.len() == 1 && self.size.pixels() <= small;
         threads::or_one(asked, is_small)
@@ -299,10 +299,10 @@ mod tests {
             assert_eq!(threads(1, [240, 320], mode, 0), 1);
             assert_eq!(threads(1, [240, 320], mode, 2), 2);
             assert_eq!(threads(2, [240, 320], mode, 0), 0);
-            assert_eq!(threads(1, [1080, 1920], mode, 0), 0);
+            assert_eq!(threads(1, [720, 1280], mode, 0), 0);
         }
-        assert_eq!(threads(1, [720, 1280], coverage(0.0), 0), 1);
-        assert_eq!(threads(1, [720, 1280], coverage(1.0), 0), 0);
-        assert_eq!(threads(1, [720, 1280], dibr, 0), 0);
+        assert_eq!(threads(1, [480, 500], coverage(0.0), 0), 1);
+        assert_eq!(threads(1, [480, 500], coverage(1.0), 0), 0);
+        assert_eq!(threads(1, [480, 500], dibr, 0), 0);
     }
 }
