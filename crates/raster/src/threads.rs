@@ -4,7 +4,8 @@
 //! deadlocks. Pools are kept for each process and number of threads; a forked child makes its own.
 //! Callers on several threads share a pool, but for work on a single thread each is a pool of its own:
 //! they would wait for one another, and handing a small image to another thread and back takes
-//! longer than drawing it.
+//! longer than drawing it. Such a caller needs a stack of 256 KiB, which threads have unless they were
+//! given less.
 
 use std::cell::OnceCell;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -18,7 +19,7 @@ use crate::error::{Error, Result};
 /// More threads than this are refused: nobody means it.
 pub const MAX_THREADS: usize = 1024;
 
-/// So many threads of a process may become a pool: one takes some kilobytes, for good. Beyond, work is
+/// So many threads of a process may become a pool: each takes about 13 kB, for good. Beyond, work is
 /// handed over.
 const MOST_OWN: usize = 256;
 
