@@ -81,8 +81,7 @@ def test_many_threads_draw_by_themselves():
     expected, found = render.silhouette(mesh, CAMERA, R, t), []
 
     def draw():
-        for threads in (1, 0, 2):
-            found.append(render.silhouette(mesh, CAMERA, R, t, threads=threads))
+        found.extend(render.silhouette(mesh, CAMERA, R, t, threads=k) for k in (1, 0, 2))
 
     for _ in range(30):  # more in all than may each be a pool of their own
         crowd = [threading.Thread(target=draw) for _ in range(10)]
