@@ -46,6 +46,7 @@ pub use self::fragment::Fragment;
 use self::setup::Image;
 use crate::error::{Error, Result};
 use crate::raster::{Background, DEFAULT_NEAR, Model, Pixel, Plain, Size, View};
+use crate::threads;
 
 /// The largest height and width in pixels.
 pub const LARGEST_SIDE: usize = 16_384;
@@ -224,6 +225,13 @@ impl Scenes<'_> {
     #[must_use]
     pub fn images(&self) -> usize {
         if self.surfaces.is_empty() { 0 } else { self.views.len() / self.surfaces.len() }
+    }
+
+    /// On how many threads to draw where nobody asked for a number (0): on one, that of the caller, if
+    /// it is a single image of one band. Results do not depend on it.
+    #[must_use]
+    pub fn threads(&self, asked: usize) -> usize {
+        threads::or_one(asked, self.images() == 1 && self.size.pixels() <= threads::SMALL_IMAGE)
     }
 
     /// The near plane in metres.

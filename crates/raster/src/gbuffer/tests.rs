@@ -25,6 +25,20 @@ fn draw_one(model: &Model, view: View, size: Size, near: Option<f64>) -> Planes<
     planes(&Scenes { surfaces: &surfaces, views: &[view], size, near }, Normals::Flat)
 }
 
+#[test]
+fn one_small_image_is_for_the_caller() {
+    let model = Model::new(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], &[[0, 1, 2]]);
+    let model = model.expect("valid");
+    let surfaces = [Surface::new(&model)];
+    let threads = |images: usize, [height, width]: [usize; 2], asked| {
+        let views = vec![plain(); images];
+        let size = Size { height, width };
+        Scenes { surfaces: &surfaces, views: &views, size, near: None }.threads(asked)
+    };
+    assert_eq!([threads(1, [512, 512], 0), threads(1, [513, 512], 0)], [1, 0]);
+    assert_eq!([threads(2, [24, 32], 0), threads(1, [24, 32], 2)], [0, 2]);
+}
+
 fn soup() -> impl Strategy<Value = Model> {
     prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-1.0..1.0_f64)), 1..20)
         .prop_map(|triangles| {

@@ -215,8 +215,7 @@ impl Request {
             [(Share::All, slice(&mut coverage)?), (Share::Each, slice(&mut coverage_each)?)];
         // Samples are many pixels to share out.
         let sampled = shares.iter().any(|(_, out)| out.is_some());
-        let little = image[0] == 1 && size.pixels() <= threads::SMALL_IMAGE && !sampled;
-        let threads = threads::or_one(self.threads, little);
+        let threads = if sampled { self.threads } else { scenes.threads(self.threads) };
         py.detach(|| {
             threads::install(threads, || {
                 if !out.is_empty() {
@@ -293,7 +292,7 @@ fn drawn<'py, T: Pixel + Element>(
     {
         let mut flow = flow.readwrite();
         let flow = flow.as_slice_mut()?;
-        let threads = threads::or_one(threads, image[0] == 1);
+        let threads = pairs.first.threads(threads);
         py.detach(|| threads::install(threads, || pairs.draw(flow, &mut found)))??;
     }
     let fate = PyArray::<u8, _>::zeros(py, IxDyn(&image), false);

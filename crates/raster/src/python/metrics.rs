@@ -43,12 +43,9 @@ fn rotations(
     }
     let (quaternions, notable) = py.detach(|| -> crate::Result<_> {
         // On the pool of this process: rayon's global one does not survive a fork.
-        let threads = threads::or_one(threads, rows.len() < 2 * MIN_LEN);
-        let converted: Vec<_> = threads::install(threads, || {
-            let convert = |m: &[f64; 9]| {
-                rotation::from_matrix([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
-            };
-            rows.par_iter().with_min_len(MIN_LEN).map(convert).collect()
+        let converted = map_rows(threads, rows.len(), |row| {
+            let m = &rows[row];
+            rotation::from_matrix([[m[0], m[1], m[2]], [m[3], m[4], m[5]], [m[6], m[7], m[8]]])
         })?;
         let mut notable = (0_usize, 0_usize, 0.0_f64);
         let mut quaternions = Vec::with_capacity(converted.len());
@@ -258,14 +255,14 @@ pub(super) fn npe<'py>(
     Ok(errors.into_pyarray(py))
 }
 
-/// One number a row, on the pool.
-fn map_rows(
+/// Something for each row, on the pool; fewer than twice [`MIN_LEN`] are not shared out.
+fn map_rows<T: Send>(
     threads: usize,
     n: usize,
-    error: impl Fn(usize) -> f64 + Sync + Send,
-) -> crate::Result<Vec<f64>> {
+    row: impl Fn(usize) -> T + Sync + Send,
+) -> crate::Result<Vec<T>> {
     let threads = threads::or_one(threads, n < 2 * MIN_LEN);
-    threads::install(threads, || (0..n).into_par_iter().with_min_len(MIN_LEN).map(error).collect())
+    threads::install(threads, || (0..n).into_par_iter().with_min_len(MIN_LEN).map(row).collect())
 }
 
 // -------------------------------------------------------------------------------------- metrics
