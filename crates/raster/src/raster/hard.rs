@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
-use super::outline::{Extent, Net, NetEdge, Outline};
+use super::outline::{Extent, Faces, Net, NetEdge, Outline};
 use super::{Background, Beside, Model, Pixel, Screen, Size};
 
 /// Buffers of one thread.
@@ -89,7 +89,7 @@ pub(super) fn draw_over<T: Pixel>(
 ) {
     let mut mask = Mask { out: Beside::new(background, out, T::default()), width: size.width };
     SCRATCH.with_borrow_mut(|scratch| {
-        sweep(scratch, model, screen, size, &mut mask);
+        sweep(scratch, (model, screen, Faces::All), size, &mut mask);
         let (out, one) = (mask.out.finish(), T::from_f64(1.0));
         for &pixel in &scratch.on_edge {
             out[pixel] = one;
@@ -100,15 +100,20 @@ pub(super) fn draw_over<T: Pixel>(
     });
 }
 
-/// Call `cover` for each run of pixels of a row that are inside of a triangle: with the row, and the
-/// columns. A centre exactly on a border is on either side of it.
+/// Call `cover` for each run of pixels of a row that are inside of a triangle of such faces: with the
+/// row, and the columns. A centre exactly on a border is on either side of it; whether there may be
+/// one.
 pub(super) fn runs(
     model: &Model,
     screen: &Screen,
+    faces: Faces,
     size: Size,
     cover: impl FnMut(usize, Range<usize>),
-) {
-    SCRATCH.with_borrow_mut(|scratch| sweep(scratch, model, screen, size, &mut Runs(cover)));
+) -> bool {
+    SCRATCH.with_borrow_mut(|scratch| {
+        sweep(scratch, (model, screen, faces), size, &mut Runs(cover));
+        !(scratch.on_edge.is_empty() && scratch.borders.is_empty())
+    })
 }
 
 /// What a sweep does with its runs.
@@ -163,20 +168,24 @@ impl<T: Pixel> Paint for Mask<'_, T> {
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
 fn sweep<P: Paint>(
     scratch: &mut Scratch,
-    model: &Model,
-    screen: &Screen,
+    shape: (&Model, &Screen, Faces),
     size: Size,
     paint: &mut P,
 ) {
-    scratch.sweep(model, screen, size, paint);
+    scratch.sweep(shape, size, paint);
 }
 
 impl Scratch {
     /// As [`runs`], and leave what has to do with borders.
     #[inline(always)]
-    fn sweep(&mut self, model: &Model, screen: &Screen, size: Size, paint: &mut impl Paint) {
+    fn sweep(
+        &mut self,
+        (model, screen, faces): (&Model, &Screen, Faces),
+        size: Size,
+        paint: &mut impl Paint,
+    ) {
         let Self { outline, crossings, borders, table, on_edge } = self;
-        let net = outline.choose(model, screen, 0.0);
+        let net = outline.choose(model, screen, 0.0, faces);
         borders.clear();
         on_edge.clear();
         let reach = sort(&net, size, (crossings, borders), paint);

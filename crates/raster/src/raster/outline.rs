@@ -51,6 +51,14 @@ impl NetEdge {
     }
 }
 
+/// Faces that are projected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Faces {
+    All,
+    /// Those with [`Screen::is_front`].
+    Front,
+}
+
 /// Rows that the edges reach, and the leftmost and rightmost column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Extent {
@@ -77,6 +85,8 @@ pub(super) struct Outline {
     /// [`Edge`](super::Edge): as it runs on the screen, and reversed; +1, -1, or 0 without area.
     /// Zeros follow for a missing face.
     sides: Vec<[i8; 2]>,
+    /// See [`Planes::leanings`](super::planes::Planes::leanings).
+    leanings: Vec<u8>,
     /// Net edges by number, and their layers; what follows them is of no account.
     chosen: Vec<(u32, i32)>,
     /// Of the faces cut at the near plane, if any were.
@@ -96,16 +106,17 @@ impl Outline {
     ) {
         let mut edges = std::mem::take(&mut self.edges);
         edges.clear();
-        let beyond = keep(&self.choose(model, screen, shift), [height, width], &mut edges);
+        let beyond = keep(&self.choose(model, screen, shift, Faces::All), [height, width], &mut edges);
         (self.edges, self.beyond) = (edges, beyond);
     }
 
-    /// Find which edges are net edges, moved as by [`find`](Self::find).
+    /// Find which edges are net edges of such faces, moved as by [`find`](Self::find).
     pub(super) fn choose<'a>(
         &'a mut self,
         model: &'a Model,
         screen: &'a Screen,
         shift: f64,
+        faces: Faces,
     ) -> Net<'a> {
         self.clipped = screen.is_clipped().then(|| {
             let keys: Vec<[u64; 2]> = (screen.u.iter().zip(&screen.v))
@@ -129,9 +140,36 @@ impl Outline {
             let sign = turn(screen, shift, topology.faces[face]);
             sides[face] = [sign, -sign];
         }
+        if faces == Faces::Front {
+            Self::leave_front(model, screen, &mut self.leanings, sides);
+        }
         sides.push([0, 0]);
         let count = select(topology, sides.as_flattened(), &mut self.chosen);
         Net { topology, screen, shift, chosen: &self.chosen[..count] }
+    }
+
+    /// Leave only faces whose normal does not point along z a layer.
+    fn leave_front(
+        model: &Model,
+        screen: &Screen,
+        leanings: &mut Vec<u8>,
+        sides: &mut [[i8; 2]],
+    ) {
+        if let Some(facing) = screen.facing() {
+            model.planes().leanings(facing, leanings);
+        } else {
+            leanings.clear();
+            leanings.resize(sides.len(), 0);
+        }
+        for (side, leaning) in sides.iter_mut().zip(&*leanings) {
+            *side = if *leaning == 1 { [0, 0] } else { *side };
+        }
+        let faces = screen.faces(model);
+        for face in memchr::memchr_iter(0, leanings) {
+            if !screen.is_front(faces[face]) {
+                sides[face] = [0, 0];
+            }
+        }
     }
 
     /// The part of a canvas that the union can reach, half open; `None` if none.

@@ -47,6 +47,14 @@ impl Planes {
         let [x, y, z] = &self.normal;
         signs_of([x, y, z, &self.offset], facing.weights, facing.doubt(shift), signs);
     }
+
+    /// Whether the normal of each face points away from the camera's image plane, along z: 1 or -1;
+    /// 0 where rounding leaves it open for the camera points of [`Screen`](super::Screen).
+    pub(super) fn leanings(&self, facing: &Facing, leanings: &mut Vec<u8>) {
+        leanings.resize(self.offset.len(), 0);
+        let [x, y, z] = &self.normal;
+        signs_of([x, y, z, &self.offset], facing.along, facing.level, leanings);
+    }
 }
 
 /// A view as the planes see it, none of whose points is cut off.
@@ -54,8 +62,12 @@ impl Planes {
 pub(super) struct Facing {
     /// For the normal, `cof(R)^T t`, and for the offset, `det(R)`.
     weights: [f64; 4],
+    /// The same for the normal's part along z, `cof(R)`'s last row and 0.
+    along: [f64; 4],
     /// Bound of the rounding errors of the planes.
     error: f64,
+    /// The same of the normal's part along z.
+    level: f64,
     /// The largest image coordinate, and more: `bound + shift` times the unit roundoff, times 16,
     /// is what image coordinates can be wrong by.
     bound: f64,
@@ -82,14 +94,15 @@ impl Facing {
         let sum = largest(&[terms(0), terms(1), terms(2)]);
         let roundoff = f64::EPSILON / 2.0;
         // Counted one rounding after another: at most 1920 and 288; and what underflow loses.
-        let error = if sum < 1e15 && m < 1e15 {
-            2500.0 * roundoff * (m * p).powi(2) * (m * p + t_max) + 1e-250
-        } else {
-            f64::INFINITY
+        let bound = |error: f64| {
+            if sum < 1e15 && m < 1e15 { error * roundoff + 1e-250 } else { f64::INFINITY }
         };
         Self {
             weights: [w(0), w(1), w(2), det],
-            error,
+            along: [cz[0], cz[1], cz[2], 0.0],
+            error: bound(2500.0 * (m * p).powi(2) * (m * p + t_max)),
+            // At most 5 for a coordinate, of two products of differences.
+            level: bound(512.0 * sum.powi(2)),
             bound: (k.fx + k.fy + k.skew.abs()) * (sum / low).powi(2) + k.cx.abs() + k.cy.abs(),
             scale: 512.0 * roundoff * sum.powi(3) / (k.fx * k.fy),
         }

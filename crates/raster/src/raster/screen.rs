@@ -154,6 +154,14 @@ impl Screen {
         if self.clipped { &self.cut_faces } else { model.faces() }
     }
 
+    /// Whether the normal of a face, its corners in order, does not point along z, away from the camera's
+    /// image plane: `n_z >= 0` in a camera frame with y up that looks along -z, as Kaolin has it.
+    #[inline(always)]
+    pub(super) fn is_front(&self, face: [u32; 3]) -> bool {
+        let [a, b, c] = face.map(|k| [self.x[k as usize], -self.y[k as usize]]);
+        (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) >= 0.0
+    }
+
     /// The face of the model that a face of the screen is a part of.
     #[must_use]
     pub fn parent(&self, face: usize) -> usize {

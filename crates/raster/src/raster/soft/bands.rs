@@ -8,11 +8,13 @@ use std::cell::RefCell;
 use rayon::prelude::*;
 
 use super::faces::Source;
-use super::kaolin::{self, Boxes, Points};
+use super::kaolin::{self, Boxes};
 use super::real::{LANES, Lanes, Real};
 use super::tiles::{Rectangle, Run, SIDE, Tiles, Units};
+use super::visits::{self, Bounds, Visits};
 use super::{Profile, kernel};
-use crate::raster::{Background, Model, Pixel, Screen, Size, add_in_order, hard};
+use crate::raster::outline::Faces;
+use crate::raster::{Background, KaolinCutoff, Model, Pixel, Screen, Size, add_in_order, hard};
 
 /// A rectangle of more tiles than this is shared out.
 const LARGE: usize = (1 << 16) / LANES;
@@ -27,19 +29,18 @@ const BAND: usize = 64 / SIDE;
 #[derive(Debug)]
 pub(super) struct Scratch<R> {
     tiles: Tiles<R>,
-    /// Those that reach a band.
-    faces: Vec<[u32; 3]>,
+    visits: Visits,
 }
 
 impl<R: Real> Default for Scratch<R> {
     fn default() -> Self {
-        Self { tiles: Tiles::default(), faces: Vec::new() }
+        Self { tiles: Tiles::default(), visits: Visits::default() }
     }
 }
 
 thread_local! {
     static RUNS: RefCell<Vec<Run>> = const { RefCell::new(Vec::new()) };
-    static POINTS: RefCell<Points> = RefCell::default();
+    static BOUNDS: RefCell<Vec<Bounds>> = const { RefCell::new(Vec::new()) };
 }
 
 /// The values of all tiles, for the gradient.
@@ -52,15 +53,13 @@ struct Image<'a> {
     faces: &'a [[u32; 3]],
     size: Size,
     units: Units,
-    /// Rows that a face reaches beyond itself.
-    reach: f64,
     whole: Rectangle,
     /// Rows of tiles in a band.
     rows: usize,
     /// What is covered: nothing of a sigmoid.
     runs: &'a [Run],
-    /// What Kaolin's boxes are decided by: empty elsewhere.
-    points: &'a Points,
+    /// What each image point reaches.
+    bounds: &'a [Bounds],
 }
 
 /// Draw the mask; every pixel of `out` is written. With `traced`, its product, unless it is large.
@@ -82,8 +81,8 @@ pub(super) fn draw<R: Real, T: Pixel>(
             return product;
         };
         let one = |k: usize, out: &mut [T], top: usize, kept: Option<&mut [Lanes<R>]>| {
-            image.band(k, |source, tiles: &mut Tiles<R>| {
-                image.multiply(source, tiles);
+            image.band(k, |source, Scratch { tiles, visits }: &mut Scratch<R>| {
+                image.multiply(source, tiles, visits);
                 tiles.compose(size, (out, top), background);
                 if let Some(kept) = kept {
                     kept.copy_from_slice(&tiles.values);
@@ -133,24 +132,26 @@ pub(super) fn back<R: Real, T: Pixel>(
             return;
         }
         let one = |k: usize, du: &mut [f64], dv: &mut [f64]| {
-            image.band(k, |source, tiles: &mut Tiles<R>| {
+            image.band(k, |source, Scratch { tiles, visits }: &mut Scratch<R>| {
                 if let Some(product) = product {
                     let first = k * image.rows * image.whole.count[0];
                     tiles.values.clear();
                     let values = &product[first..first + tiles.rectangle.tiles()];
                     tiles.values.extend_from_slice(values);
                 } else {
-                    image.multiply(source, tiles);
+                    image.multiply(source, tiles, visits);
                 }
                 tiles.weigh(size, upstream, scale);
                 tiles.mark(R::ZERO);
+                let visits = visits.find(tiles, source.faces, image.bounds);
+                let out = [du, dv];
                 match profile {
-                    Profile::Dibr(_) => kernel::back::<R, false>(source, tiles, scale, du, dv),
-                    Profile::Kaolin(_, cutoff) => {
-                        let boxes = Boxes::new(source, image.points, cutoff);
-                        kaolin::back(boxes, tiles, scale, du, dv);
+                    Profile::Dibr(_) => kernel::back::<R, false>(source, tiles, visits, scale, out),
+                    Profile::Kaolin(_, KaolinCutoff { knum, .. }) => {
+                        let boxes = Boxes { bounds: image.bounds, knum };
+                        kaolin::back(source, boxes, tiles, visits, scale, out);
                     }
-                    Profile::Sigmoid(_) => kernel::back::<R, true>(source, tiles, scale, du, dv),
+                    Profile::Sigmoid(_) => kernel::back::<R, true>(source, tiles, visits, scale, out),
                 }
             });
         };
@@ -180,44 +181,39 @@ impl Image<'_> {
         let widest = Units::new(size, profile.scale(size), profile.widest(reach));
         let Some(whole) = Rectangle::around(size, &widest, low, high) else { return work(None) };
         // Taken out meanwhile: a thread that waits for bands may be given another image.
-        let (mut runs, mut points) = (RUNS.take(), POINTS.take());
+        let (mut runs, mut bounds) = (RUNS.take(), BOUNDS.take());
         runs.clear();
-        if let Profile::Kaolin(_, cutoff) = profile {
-            points.set(screen, size, cutoff.boxlen);
+        match profile {
+            Profile::Kaolin(_, cutoff) => kaolin::grown(screen, size, cutoff.boxlen, &mut bounds),
+            _ => visits::reach(screen, size, &units, &mut bounds),
         }
         if kept != Some(whole.tiles()) {
             match profile {
-                Profile::Dibr(_) => hard::runs(model, screen, size, |row, columns| {
-                    let [row, from, to] = [row, columns.start, columns.end].map(|n| n as u32);
-                    runs.push(Run { row, from, to });
-                }),
+                Profile::Dibr(_) => {
+                    let cover = |row, columns| runs.push(Run::new(row, columns));
+                    hard::runs(model, screen, Faces::All, size, cover);
+                }
                 Profile::Kaolin(..) => {
-                    kaolin::cover(model, screen, &points, size, &mut runs);
-                    // Bands look for theirs; in one all rows are.
-                    if whole.tiles() > LARGE {
-                        runs.sort_unstable_by_key(|run| run.row);
-                    }
+                    kaolin::cover(model, screen, size, &mut runs);
                 }
                 Profile::Sigmoid(_) => {}
             }
         }
         let rows = if whole.tiles() > LARGE { BAND } else { whole.count[1] };
-        let reach = widest.reach_in_pixels(1);
         let image = Image {
             profile,
             screen,
             faces,
             size,
             units,
-            reach,
             whole,
             rows,
             runs: &runs,
-            points: &points,
+            bounds: &bounds,
         };
         let out = work(Some(&image));
         RUNS.set(runs);
-        POINTS.set(points);
+        BOUNDS.set(bounds);
         out
     }
 
@@ -225,38 +221,34 @@ impl Image<'_> {
         self.whole.count[1].div_ceil(self.rows)
     }
 
-    /// Work on the tiles of a band, and on the faces that reach them.
-    fn band<R: Real>(&self, k: usize, work: impl FnOnce(&Source<'_>, &mut Tiles<R>)) {
-        R::with_scratch(|Scratch { tiles, faces }| {
+    /// Work on the tiles of a band.
+    fn band<R: Real>(&self, k: usize, work: impl FnOnce(&Source<'_>, &mut Scratch<R>)) {
+        R::with_scratch(|scratch| {
             let rectangle = self.whole.band(self.rows, k);
             let (u, v) = (&self.screen.u[..], &self.screen.v[..]);
-            tiles.lay(&self.units, rectangle);
-            let mut near = self.faces;
-            if self.bands() > 1 {
-                let first = (SIDE * rectangle.first[1]) as f64 - self.reach;
-                let end = (SIDE * (rectangle.first[1] + rectangle.count[1])) as f64 + self.reach;
-                faces.clear();
-                faces.extend(self.faces.iter().filter(|face| {
-                    let [a, b, c] = face.map(|corner| v[corner as usize]);
-                    a.max(b).max(c) >= first && a.min(b).min(c) <= end
-                }));
-                near = faces;
-            }
-            work(&Source { faces: near, u, v, units: self.units, rectangle }, tiles);
+            scratch.tiles.rectangle = rectangle;
+            work(&Source { faces: self.faces, u, v, units: self.units, rectangle }, scratch);
         });
     }
 
     /// Leave `prod_f (1 - p_f)` in the tiles.
-    fn multiply<R: Real>(&self, source: &Source<'_>, tiles: &mut Tiles<R>) {
+    fn multiply<R: Real>(
+        &self,
+        source: &Source<'_>,
+        tiles: &mut Tiles<R>,
+        visits: &mut Visits,
+    ) {
         tiles.fill(self.size, R::ONE);
         tiles.cover(self.runs, self.size);
         tiles.mark(R::ZERO);
+        let visits = visits.find(tiles, source.faces, self.bounds);
         match self.profile {
-            Profile::Dibr(_) => kernel::draw::<R, false>(source, tiles),
-            Profile::Kaolin(_, cutoff) => {
-                kaolin::draw(Boxes::new(source, self.points, cutoff), tiles);
+            Profile::Dibr(_) => kernel::draw::<R, false>(source, tiles, visits),
+            Profile::Kaolin(_, KaolinCutoff { knum, .. }) => {
+                let boxes = Boxes { bounds: self.bounds, knum };
+                kaolin::draw(source, boxes, tiles, visits);
             }
-            Profile::Sigmoid(_) => kernel::draw::<R, true>(source, tiles),
+            Profile::Sigmoid(_) => kernel::draw::<R, true>(source, tiles, visits),
         }
     }
 

@@ -2,7 +2,8 @@
 
 use super::nearest::Near;
 use super::real::{LANES, Real};
-use super::tiles::{LAST, Rectangle, SIDE, Units};
+use super::tiles::{Rectangle, SIDE, Units};
+use super::visits::Visit;
 
 /// Twice the area over the squares of two sides, up to which a face has no area: rounding leaves
 /// collinear corners about 1e-16.
@@ -26,13 +27,13 @@ pub(super) struct Edges<R> {
 }
 
 /// Sixteen faces. Edge `k` runs from corner `k` to the next, the corners positively oriented. The
-/// origin of a face is the first pixel centre of the first tile within its reach.
+/// origin of a face is the first pixel centre of the first tile of its visit.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub(super) struct Block<R> {
     pub(super) edges: Edges<R>,
-    /// Tiles within reach: columns `0..1`, rows `2..3`.
-    pub(super) tiles: [[i32; LANES]; 4],
+    /// The first tile of the visit: columns, rows.
+    first: [[i32; LANES]; 2],
     /// Tiles by what is near to them.
     pub(super) near: Near,
     /// Whether the second and the third corner are exchanged.
@@ -61,7 +62,7 @@ impl<R: Real> Block<R> {
         let edges = Edges { x: none, y: none, along: none, across: none, half: none };
         Self {
             edges,
-            tiles: [[0; LANES]; 4],
+            first: [[0; LANES]; 2],
             near: Near::new(),
             turned: [false; LANES],
             flat: [false; LANES],
@@ -70,31 +71,62 @@ impl<R: Real> Block<R> {
         }
     }
 
-    /// Load up to 16 faces from `first` on; how many they are. With `inside`, edges are told apart
-    /// inside of faces too.
+    /// Load the faces of up to 16 visits, without which edge is [near](Near) to which tile.
     #[inline(always)]
-    pub(super) fn load(&mut self, source: &Source<'_>, first: usize, inside: bool) -> usize {
-        let faces = &source.faces[first..];
-        let faces = &faces[..faces.len().min(LANES)];
+    pub(super) fn load(&mut self, source: &Source<'_>, visits: &[Visit]) {
+        self.load_corners(source, visits);
+    }
+
+    /// As [`load`](Self::load), and find what is near. With `inside`, edges are told apart inside of
+    /// faces too.
+    #[inline(always)]
+    pub(super) fn load_near(&mut self, source: &Source<'_>, visits: &[Visit], inside: bool) {
+        let corners = self.load_corners(source, visits);
+        // In tiles, from the first of the visit on: the pixel centres of tile `t` are at `t`, ..,
+        // `t + 3/4`.
+        let (mut low, mut high) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
+        let Units { scale, half, .. } = source.units;
+        for axis in 0..2 {
+            let per_tile = 1.0 / (SIDE as f64 * scale[axis]);
+            let shift = (half[axis] - 0.5) / SIDE as f64 - source.rectangle.first[axis] as f64;
+            for l in 0..LANES {
+                let (a, b, c) = (corners[axis][l], corners[axis + 2][l], corners[axis + 4][l]);
+                let shift = shift - f64::from(self.first[axis][l]);
+                low[axis][l] = a.least(b).least(c) * per_tile + shift;
+                high[axis][l] = a.most(b).most(c) * per_tile + shift;
+            }
+        }
+        let used = visits.iter().fold(0, |used, visit| used | visit.used);
+        let rows = 8 - used.leading_zeros() / 8;
+        Near::find(self, source, rows, &low, &high, inside);
+    }
+
+    /// Everything but what is near; the corners in widths, in order.
+    #[inline(always)]
+    fn load_corners(&mut self, source: &Source<'_>, visits: &[Visit]) -> [[f64; LANES]; 6] {
+        let visits = &visits[..visits.len().min(LANES)];
         let mut corners = [[0.0; LANES]; 6];
-        for (lane, face) in faces.iter().enumerate() {
+        for (lane, visit) in visits.iter().enumerate() {
+            let face = source.faces[visit.face as usize];
             for k in 0..3 {
                 corners[2 * k][lane] = source.u[face[k] as usize];
                 corners[2 * k + 1][lane] = source.v[face[k] as usize];
             }
+            self.first[0][lane] = i32::from(visit.column);
+            self.first[1][lane] = i32::from(visit.row);
         }
-        self.prepare(source, &mut corners, inside);
-        for lane in 0..faces.len() {
+        self.prepare(source, &mut corners);
+        for lane in 0..visits.len() {
             if self.far[lane] {
                 self.cut(source, lane, &corners);
             }
         }
-        faces.len()
+        corners
     }
 
-    /// Everything of all lanes; the corners (pixels) become widths, in order.
+    /// The edges of all lanes; the corners (pixels) become widths, in order.
     #[inline(always)]
-    fn prepare(&mut self, source: &Source<'_>, corners: &mut [[f64; LANES]; 6], inside: bool) {
+    fn prepare(&mut self, source: &Source<'_>, corners: &mut [[f64; LANES]; 6]) {
         let Units { scale, half, reach } = source.units;
         let limit = FAR * (source.units.extent() + reach);
         for l in 0..LANES {
@@ -121,23 +153,6 @@ impl<R: Real> Block<R> {
             let x = ax.abs().most(bx.abs()).most(cx.abs());
             let y = ay.abs().most(by.abs()).most(cy.abs());
             self.far[l] = x.most(y) > limit;
-        }
-        // In tiles: the pixel centres of tile `t` are at `t`, .., `t + 3/4`.
-        let (mut low, mut high) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
-        for axis in 0..2 {
-            let count = source.rectangle.count[axis] as f64;
-            let per_tile = 1.0 / (SIDE as f64 * scale[axis]);
-            let shift = (half[axis] - 0.5) / SIDE as f64 - source.rectangle.first[axis] as f64;
-            let margin = reach * per_tile + 1e-3;
-            for l in 0..LANES {
-                let (a, b, c) = (corners[axis][l], corners[axis + 2][l], corners[axis + 4][l]);
-                low[axis][l] = a.least(b).least(c) * per_tile + shift;
-                high[axis][l] = a.most(b).most(c) * per_tile + shift;
-                let from = low[axis][l] - margin - LAST;
-                let to = high[axis][l] + margin + 1.0;
-                self.tiles[2 * axis][l] = from.most(0.0).least(count).floor_i32();
-                self.tiles[2 * axis + 1][l] = to.most(0.0).least(count).floor_i32();
-            }
         }
         // From the first corner, or a face smaller than the digits of its place would lose its shape.
         let mut points = [[R::ZERO; LANES]; 6];
@@ -172,35 +187,14 @@ impl<R: Real> Block<R> {
                 edges.half[k][l] = if point { R::ZERO } else { length / two };
             }
         }
-        // The same from the first tile within reach on, cut where the box is far off.
-        for axis in 0..2 {
-            for l in 0..LANES {
-                low[axis][l] -= f64::from(self.tiles[2 * axis][l]);
-                high[axis][l] -= f64::from(self.tiles[2 * axis][l]);
-            }
-        }
-        Near::find(self, source, &low, &high, inside);
     }
 
-    /// Where the windows of 8x8 tiles begin, in columns and rows from the first tile within reach of a
-    /// face, that the tiles of the furthest reaching one make: one, but for large faces.
-    #[inline(always)]
-    pub(super) fn windows(&self) -> impl Iterator<Item = [usize; 2]> + use<R> {
-        let [mut columns, mut rows] = [0; 2];
-        for l in 0..LANES {
-            columns = columns.max(self.tiles[1][l] - self.tiles[0][l]);
-            rows = rows.max(self.tiles[3][l] - self.tiles[2][l]);
-        }
-        let [columns, rows] = [columns.max(0) as usize, rows.max(0) as usize];
-        (0..rows).step_by(8).flat_map(move |row| (0..columns).step_by(8).map(move |c| [c, row]))
-    }
-
-    /// The first pixel centre of the first tile within reach of a face, in widths.
+    /// The first pixel centre of the first tile of a visit, in widths.
     #[inline(always)]
     fn origin(&self, source: &Source<'_>, lane: usize) -> [f64; 2] {
         let Units { scale, half, .. } = source.units;
         let at = |axis: usize| {
-            let tile = source.rectangle.first[axis] as f64 + f64::from(self.tiles[2 * axis][lane]);
+            let tile = source.rectangle.first[axis] as f64 + f64::from(self.first[axis][lane]);
             (SIDE as f64 * tile + 0.5 - half[axis]) * scale[axis]
         };
         [at(0), at(1)]

@@ -1,18 +1,18 @@
-//! Which tiles the faces of a block reach, as lists: loops over them end where it can be foretold.
+//! Which tiles the faces of visits reach, as lists: loops over them end where it can be foretold.
 
 use multiversion::multiversion;
 
 use super::faces::Block;
-use super::real::{LANES, Real};
-use super::tiles::Tiles;
+use super::real::LANES;
+use super::visits::Visit;
 
-/// Tiles of a window, per face.
+/// Tiles of a visit.
 const WINDOW: usize = 64;
 
-/// A list is written in pieces of a window, and ends anywhere in the last.
+/// A list is written in pieces of a visit, and ends anywhere in the last.
 const ROOM: usize = (LANES + 1) * WINDOW;
 
-/// Pairs of a record of a block and a tile of a window.
+/// Pairs of a record of a block and a tile of a visit.
 #[derive(Debug)]
 pub(super) struct List {
     record: [u8; ROOM],
@@ -20,7 +20,7 @@ pub(super) struct List {
     length: usize,
 }
 
-/// What the faces of a block reach of a window of 8x8 tiles. Each face has a window of its own.
+/// The tiles of visits.
 #[derive(Debug)]
 pub(super) struct Items {
     /// Tiles for which an edge alone gives the distance, edge after edge: the record of edge `k` of
@@ -28,9 +28,9 @@ pub(super) struct Items {
     pub(super) one: List,
     /// Other tiles: the record is the face.
     pub(super) all: List,
-    /// Tiles in use within reach, of each face.
+    /// Tiles in use within reach, of each visit.
     used: [u64; LANES],
-    /// The place of the window's first tile among all, of each face.
+    /// The place of the first tile among all, of each visit.
     first: [usize; LANES],
     /// Tiles in a row of all.
     stride: usize,
@@ -66,36 +66,40 @@ impl Items {
         Self { one: List::new(), all: List::new(), used, first, stride: 0 }
     }
 
-    /// List the tiles in use of the window that begins so many columns and rows after the first tile
-    /// within reach of each face that is to be `seen`.
+    /// List the tiles of visits, in rows of `stride`, that are to be `seen`, apart where one edge alone
+    /// gives the distance.
     #[inline(always)]
-    pub(super) fn find<R: Real>(
+    pub(super) fn find<R>(
         &mut self,
+        visits: &[Visit],
+        stride: usize,
         block: &Block<R>,
-        tiles: &Tiles<R>,
-        [right, down]: [usize; 2],
-        seen: &[bool; LANES],
+        seen: impl Fn(usize) -> u64,
     ) {
-        self.stride = tiles.rectangle.count[0];
-        for lane in 0..LANES {
-            let [from, to, top, bottom] = [0, 1, 2, 3].map(|k| block.tiles[k][lane] as usize);
-            let (column, row) = (from + right, top + down);
-            (self.used[lane], self.first[lane]) = (0, 0);
-            if column < to && row < bottom && seen[lane] {
-                self.used[lane] =
-                    tiles.used(column, row, to - column, bottom - row) & block.near.all[lane];
-                self.first[lane] = row * self.stride + column;
-            }
+        self.set(visits, stride);
+        for (lane, used) in self.used.iter_mut().enumerate() {
+            *used &= seen(lane);
         }
-        list(self, &block.near.one);
+        list(self, Some(&block.near.one));
     }
 
-    /// Whether a face has any.
-    pub(super) fn any(&self, lane: usize) -> bool {
-        self.used[lane] != 0
+    /// List the tiles of visits, in rows of `stride`.
+    #[inline(always)]
+    pub(super) fn find_all(&mut self, visits: &[Visit], stride: usize) {
+        self.set(visits, stride);
+        list(self, None);
     }
 
-    /// The place of a tile of a face's window among all.
+    #[inline(always)]
+    fn set(&mut self, visits: &[Visit], stride: usize) {
+        (self.stride, self.used) = (stride, [0; LANES]);
+        for ((visit, used), first) in visits.iter().zip(&mut self.used).zip(&mut self.first) {
+            *used = visit.used;
+            *first = usize::from(visit.row) * stride + usize::from(visit.column);
+        }
+    }
+
+    /// The place of a visit's tile among all.
     #[inline(always)]
     pub(super) fn place(&self, record: usize, tile: usize) -> usize {
         self.first[record % LANES] + (tile / 8) * self.stride + tile % 8
@@ -103,8 +107,14 @@ impl Items {
 
     /// One face after another, a word of bits by `add`.
     #[inline(always)]
-    fn list(&mut self, one: &[[u64; LANES]; 3], add: impl Fn(&mut List, u8, u64)) {
+    fn list(&mut self, one: Option<&[[u64; LANES]; 3]>, add: impl Fn(&mut List, u8, u64)) {
         (self.one.length, self.all.length) = (0, 0);
+        let Some(one) = one else {
+            for lane in 0..LANES {
+                add(&mut self.all, lane as u8, self.used[lane]);
+            }
+            return;
+        };
         for lane in 0..LANES {
             let mut rest = self.used[lane];
             for (k, one) in one.iter().enumerate() {
@@ -115,7 +125,7 @@ impl Items {
         }
     }
 
-    fn list_plain(&mut self, one: &[[u64; LANES]; 3]) {
+    fn list_plain(&mut self, one: Option<&[[u64; LANES]; 3]>) {
         self.list(one, List::add);
     }
 }
@@ -126,13 +136,13 @@ impl Items {
 use self::avx512::list as list_wide;
 
 #[cfg(all(target_arch = "x86_64", target_feature = "avx512vbmi2"))]
-fn list_wide(items: &mut Items, one: &[[u64; LANES]; 3]) {
+fn list_wide(items: &mut Items, one: Option<&[[u64; LANES]; 3]>) {
     items.list_plain(one);
 }
 
 /// A call of its own, for an instruction set of its own.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vbmi2+popcnt"))]
-fn list(items: &mut Items, one: &[[u64; LANES]; 3]) {
+fn list(items: &mut Items, one: Option<&[[u64; LANES]; 3]>) {
     multiversion::target::match_target! {
         "x86_64+avx512vbmi2" => list_wide(items, one),
         _ => items.list_plain(one),
@@ -151,7 +161,7 @@ mod avx512 {
     /// As [`Items::list_plain`], a word of bits at once.
     #[inline]
     #[target_feature(enable = "avx512f,avx512bw,avx512vbmi2,popcnt")]
-    pub(super) fn list(items: &mut Items, one: &[[u64; LANES]; 3]) {
+    pub(super) fn list(items: &mut Items, one: Option<&[[u64; LANES]; 3]>) {
         items.list(one, |list, record, bits| add(list, record, bits));
     }
 
@@ -219,8 +229,8 @@ mod tests {
             wide.used = std::array::from_fn(|_| word(density));
             plain.used = wide.used;
             let one = [0; 3].map(|_: u64| std::array::from_fn(|_| word(30)));
-            list(&mut wide, &one);
-            plain.list_plain(&one);
+            list(&mut wide, Some(&one));
+            plain.list_plain(Some(&one));
             assert_eq!(pairs(&wide.one), pairs(&plain.one));
             assert_eq!(pairs(&wide.all), pairs(&plain.all));
             // Every tile once, with an edge that is to give its distance if there is one.

@@ -6,14 +6,19 @@ use super::faces::{Block, Source};
 use super::items::Items;
 use super::real::{LANES, Lanes, Real};
 use super::sums::{EdgeSums, Sums};
-use super::tiles::Tiles;
+use super::tiles::{Places, Tiles};
+use super::visits::Visit;
 
 /// Multiply the values of the tiles in use by what each face leaves uncovered: `1 - p`.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-pub(super) fn draw<R: Real, const SIGMOID: bool>(source: &Source<'_>, tiles: &mut Tiles<R>) {
+pub(super) fn draw<R: Real, const SIGMOID: bool>(
+    source: &Source<'_>,
+    tiles: &mut Tiles<R>,
+    visits: &[Visit],
+) {
     multiversion::target::match_target! {
-        "x86_64+avx2+fma" => draw_all::<R, true, SIGMOID>(source, tiles),
-        _ => draw_all::<R, { crate::FUSED }, SIGMOID>(source, tiles),
+        "x86_64+avx2+fma" => draw_all::<R, true, SIGMOID>(source, tiles, visits),
+        _ => draw_all::<R, { crate::FUSED }, SIGMOID>(source, tiles, visits),
     }
 }
 
@@ -23,20 +28,20 @@ pub(super) fn draw<R: Real, const SIGMOID: bool>(source: &Source<'_>, tiles: &mu
 pub(super) fn back<R: Real, const SIGMOID: bool>(
     source: &Source<'_>,
     tiles: &Tiles<R>,
+    visits: &[Visit],
     factor: f64,
-    du: &mut [f64],
-    dv: &mut [f64],
+    out: [&mut [f64]; 2],
 ) {
     multiversion::target::match_target! {
-        "x86_64+avx2+fma" => back_all::<R, true, SIGMOID>(source, tiles, factor, du, dv),
-        _ => back_all::<R, { crate::FUSED }, SIGMOID>(source, tiles, factor, du, dv),
+        "x86_64+avx2+fma" => back_all::<R, true, SIGMOID>(source, tiles, visits, factor, out),
+        _ => back_all::<R, { crate::FUSED }, SIGMOID>(source, tiles, visits, factor, out),
     }
 }
 
 /// The pixels of a tile that a face counts for.
 pub(super) trait Pixels {
-    /// Whether the pixel in a lane is one; asked once for each.
-    fn has(&mut self, lane: usize) -> bool;
+    /// The first number if the pixel in a lane is one, else the second; asked once for each lane.
+    fn choose<R: Real>(&mut self, lane: usize, counts: R, else_: R) -> R;
 }
 
 /// All of them.
@@ -44,8 +49,18 @@ pub(super) struct All;
 
 impl Pixels for All {
     #[inline(always)]
-    fn has(&mut self, _: usize) -> bool {
-        true
+    fn choose<R: Real>(&mut self, _: usize, counts: R, _: R) -> R {
+        counts
+    }
+}
+
+/// These, a bit each.
+pub(super) struct Held(pub(super) u32);
+
+impl Pixels for Held {
+    #[inline(always)]
+    fn choose<R: Real>(&mut self, lane: usize, counts: R, else_: R) -> R {
+        R::blend((self.0 >> lane) & 1, counts, else_)
     }
 }
 
@@ -83,34 +98,31 @@ impl<R: Real> Measured<R> {
 fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     source: &Source<'_>,
     tiles: &mut Tiles<R>,
+    visits: &[Visit],
 ) {
     let (mut block, mut items) = (Block::new(), Items::new());
-    let mut first = 0;
-    while first < source.faces.len() {
-        let count = block.load(source, first, SIGMOID);
-        let seen = std::array::from_fn(|lane| lane < count && !(SIGMOID && block.flat[lane]));
-        for window in block.windows() {
-            items.find(&block, tiles, window, &seen);
-            let Some([x, y]) = tiles.places.window(window) else { break };
-            let place = |tile: usize| [&x[tile % 8], &y[tile / 8 % 8]];
-            let mut list = items.one.iter();
-            if let Some((record, tile)) = list.next() {
-                let mut at = items.place(record, tile);
-                let mut from = Measured::new::<FMA>(&block, record, place(tile));
-                // The next is measured while this one waits for its exponential.
-                for (record, tile) in list {
-                    let next = Measured::new::<FMA>(&block, record, place(tile));
-                    draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at], All);
-                    (from, at) = (next, items.place(record, tile));
-                }
-                draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at], All);
+    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    for visits in visits.chunks(LANES) {
+        block.load_near(source, visits, SIGMOID);
+        items.find(visits, stride, &block, |lane| {
+            if SIGMOID && block.flat[lane] { 0 } else { block.near.all[lane] }
+        });
+        let mut list = items.one.iter();
+        if let Some((record, tile)) = list.next() {
+            let mut at = items.place(record, tile);
+            let mut from = Measured::new::<FMA>(&block, record, places.of(tile));
+            // The next is measured while this one waits for its exponential.
+            for (record, tile) in list {
+                let next = Measured::new::<FMA>(&block, record, places.of(tile));
+                draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at]);
+                (from, at) = (next, items.place(record, tile));
             }
-            for (lane, tile) in items.all.iter() {
-                let values = &mut tiles.values[items.place(lane, tile)];
-                draw_tile::<R, FMA, SIGMOID>(&block, lane, place(tile), values, All);
-            }
+            draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at]);
         }
-        first += LANES;
+        for (lane, tile) in items.all.iter() {
+            let values = &mut tiles.values[items.place(lane, tile)];
+            draw_tile::<R, FMA, SIGMOID>(&block, lane, places.of(tile), values, All);
+        }
     }
 }
 
@@ -146,7 +158,7 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = if pixels.has(l) { left.most(R::LEAST_PRODUCT) } else { values[l] };
+        values[l] = pixels.choose(l, left.most(R::LEAST_PRODUCT), values[l]);
     }
 }
 
@@ -155,7 +167,6 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
 pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
     from: &Measured<R>,
     values: &mut Lanes<R>,
-    mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
         let e = from.squared[l].exp2_negative::<FMA>();
@@ -164,7 +175,7 @@ pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = if pixels.has(l) { left.most(R::LEAST_PRODUCT) } else { values[l] };
+        values[l] = left.most(R::LEAST_PRODUCT);
     }
 }
 
@@ -172,43 +183,35 @@ pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
 fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     source: &Source<'_>,
     tiles: &Tiles<R>,
+    visits: &[Visit],
     factor: f64,
-    du: &mut [f64],
-    dv: &mut [f64],
+    out: [&mut [f64]; 2],
 ) {
+    let [du, dv] = out;
     let (mut block, mut items, mut sums) = (Block::new(), Items::new(), Sums::new());
-    let mut first = 0;
-    while first < source.faces.len() {
-        let count = block.load(source, first, SIGMOID);
-        let seen = std::array::from_fn(|lane| lane < count && !(SIGMOID && block.flat[lane]));
+    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    for visits in visits.chunks(LANES) {
+        block.load_near(source, visits, SIGMOID);
+        items.find(visits, stride, &block, |lane| {
+            if SIGMOID && block.flat[lane] { 0 } else { block.near.all[lane] }
+        });
         sums.clear();
-        for window in block.windows() {
-            items.find(&block, tiles, window, &seen);
-            let Some([x, y]) = tiles.places.window(window) else { break };
-            let place = |tile: usize| [&x[tile % 8], &y[tile / 8 % 8]];
-            let mut list = items.one.iter();
-            if let Some((mut last, tile)) = list.next() {
-                let mut at = items.place(last, tile);
-                let mut from = Measured::new::<FMA>(&block, last, place(tile));
-                for (record, tile) in list {
-                    let next = Measured::new::<FMA>(&block, record, place(tile));
-                    let edge = sums.of(last);
-                    back_one::<R, FMA, SIGMOID>(&from, &tiles.values[at], edge, All);
-                    (from, last, at) = (next, record, items.place(record, tile));
-                }
-                let edge = sums.of(last);
-                back_one::<R, FMA, SIGMOID>(&from, &tiles.values[at], edge, All);
+        let mut list = items.one.iter();
+        if let Some((mut last, tile)) = list.next() {
+            let mut at = items.place(last, tile);
+            let mut from = Measured::new::<FMA>(&block, last, places.of(tile));
+            for (record, tile) in list {
+                let next = Measured::new::<FMA>(&block, record, places.of(tile));
+                back_one::<R, FMA, SIGMOID>(&from, &tiles.values[at], sums.of(last), All);
+                (from, last, at) = (next, record, items.place(record, tile));
             }
-            for (lane, tile) in items.all.iter() {
-                let values = &tiles.values[items.place(lane, tile)];
-                back_tile::<R, FMA, SIGMOID>(&block, lane, place(tile), values, &mut sums, All);
-            }
-            for (lane, any) in sums.any.iter_mut().enumerate() {
-                *any |= items.any(lane);
-            }
+            back_one::<R, FMA, SIGMOID>(&from, &tiles.values[at], sums.of(last), All);
         }
-        sums.scatter(source, &block, [first, count], factor, du, dv);
-        first += LANES;
+        for (lane, tile) in items.all.iter() {
+            let values = &tiles.values[items.place(lane, tile)];
+            back_tile::<R, FMA, SIGMOID>(&block, lane, places.of(tile), values, &mut sums, All);
+        }
+        sums.scatter(source, &block, visits, factor, du, dv);
     }
 }
 
@@ -237,7 +240,7 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
         };
-        let weight = if pixels.has(l) { weight } else { R::ZERO };
+        let weight = pixels.choose(l, weight, R::ZERO);
         let first = d0 <= nearest;
         let second = d1 <= nearest;
         let w0 = if first { weight } else { R::ZERO };
@@ -283,7 +286,7 @@ pub(super) fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
         };
-        let w = if pixels.has(l) { w } else { R::ZERO };
+        let w = pixels.choose(l, w, R::ZERO);
         let g = if a < R::ZERO { -b } else { b };
         sums[0][l] = w.fused::<FMA>(s, sums[0][l]);
         sums[1][l] = (w * s).fused::<FMA>(a - g, sums[1][l]);

@@ -45,6 +45,7 @@ mod sums;
 #[cfg(test)]
 mod tests;
 mod tiles;
+mod visits;
 
 use self::bands::Product;
 use self::real::Real;

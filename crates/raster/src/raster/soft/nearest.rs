@@ -7,7 +7,7 @@
 
 use super::faces::{Block, Source};
 use super::real::{LANES, Real};
-use super::tiles::{EACH, LAST, SIDE, Units};
+use super::tiles::{LAST, SIDE, Units};
 
 /// Widths by which strips are enlarged: more than rounding and [`LEVEL`] take away.
 const MARGIN: f64 = 2e-3;
@@ -15,10 +15,10 @@ const MARGIN: f64 = 2e-3;
 /// An edge that rises by less than so many widths over a tile counts as rising by that.
 const LEVEL: f64 = 1e-4;
 
-/// Of the 8x8 tiles from the first one within reach on: bit `8 row + column`, for each face.
+/// Of the 8x8 tiles of a visit: bit `8 row + column`, for each face.
 #[derive(Debug)]
 pub(super) struct Near {
-    /// Those within reach; all where the face reaches further than eight tiles.
+    /// Those within reach.
     pub(super) all: [u64; LANES],
     /// Those of them for which an edge alone gives the distance to the face, for each edge.
     pub(super) one: [[u64; LANES]; 3],
@@ -47,29 +47,13 @@ impl Near {
         Self { all: [0; LANES], one: [[0; LANES]; 3] }
     }
 
-    /// For each edge, the tiles of which it alone gives the distance, of the 8x8 from this one on;
-    /// none for those further than eight from the first one within reach.
-    #[inline(always)]
-    pub(super) fn from(
-        &self,
-        lane: usize,
-        tiles: &[[i32; LANES]; 4],
-        [column, row]: [usize; 2],
-    ) -> [u64; 3] {
-        let (c, r) = (column as i32 - tiles[0][lane], row as i32 - tiles[2][lane]);
-        let within = (0..8).contains(&c) & (0..8).contains(&r);
-        // Bits that come from the row below are not those of tiles further right.
-        let keep = if within { EACH * (0xFF >> (c & 7)) } else { 0 };
-        let shift = (8 * r + c) & 63;
-        [0, 1, 2].map(|k| (self.one[k][lane] >> shift) & keep)
-    }
-
-    /// Find those of a block; `low` and `high` are the bounds of its faces in tiles, from the first
-    /// tile within reach on. With `inside`, tiles that touch a face need all its edges.
+    /// Find those of a block in so many rows; `low` and `high` are the bounds of its faces in tiles, from
+    /// the first tile of the visit on. With `inside`, tiles that touch a face need all its edges.
     #[inline(always)]
     pub(super) fn find<R: Real>(
         block: &mut Block<R>,
         source: &Source<'_>,
+        rows: u32,
         low: &[[f64; LANES]; 2],
         high: &[[f64; LANES]; 2],
         inside: bool,
@@ -88,13 +72,9 @@ impl Near {
         let (down, across) = (R::of(SIDE as f64 * scale[1]), R::of(1.0 / (SIDE as f64 * scale[0])));
         let squared = R::of(reach * reach * 1.001);
         let last = R::of(LAST + 1e-3);
-        let mut rows = 0;
-        for l in 0..LANES {
-            rows = rows.max(block.tiles[3][l] - block.tiles[2][l]);
-        }
         // Rows 0 to 3 and 4 to 7.
         let mut near = [[[0_u32; LANES]; 4]; 2];
-        for row in 0..rows.min(8) {
+        for row in 0..rows {
             let r = R::of(f64::from(row));
             let (half, place) = ((row / 4) as usize, 8 * (row % 4));
             for l in 0..LANES {
@@ -144,10 +124,7 @@ impl Near {
         }
         let near = &mut block.near;
         for l in 0..LANES {
-            let tiles = &block.tiles;
-            let large = (tiles[1][l] - tiles[0][l]).max(tiles[3][l] - tiles[2][l]) > 8;
-            near.all[l] |= if large { u64::MAX } else { 0 };
-            let keep = if large | block.flat[l] | block.far[l] { 0 } else { u64::MAX };
+            let keep = if block.flat[l] | block.far[l] { 0 } else { u64::MAX };
             for k in 0..3 {
                 near.one[k][l] &= keep;
             }

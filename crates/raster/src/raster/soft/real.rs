@@ -11,6 +11,17 @@ use crate::raster::spare::Spare;
 /// Pixels of a tile: 4 rows of 4.
 pub(super) const LANES: usize = 16;
 
+/// The bit of each pixel of a tile.
+pub(super) const BIT: [u32; LANES] = {
+    let mut bits = [0; LANES];
+    let mut l = 0;
+    while l < LANES {
+        bits[l] = 1 << l;
+        l += 1;
+    }
+    bits
+};
+
 /// A number for each pixel of a tile, where one load takes them from one line of the caches.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(64))]
@@ -71,8 +82,6 @@ pub(super) trait Real:
     fn wide(self) -> f64;
     fn abs(self) -> Self;
     fn sqrt(self) -> Self;
-    /// The integer below; up to 1e-4 more is taken for the one above. For `0 <= self < 2^20`.
-    fn floor_i32(self) -> i32;
     /// The integer above, or 32 or more for anything that large; up to 1e-4 more than an integer is
     /// taken for it. For `0 <= self`.
     fn ceil_shift(self) -> u32;
@@ -80,6 +89,8 @@ pub(super) trait Real:
     fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self;
     /// `2^-self` for `self >= 0`, accurate to a few units of the last place of 1.
     fn exp2_negative<const FMA: bool>(self) -> Self;
+    /// `a` if the bit is 1, `b` if it is 0. A comparison of the bits of one number would not become lanes.
+    fn blend(bit: u32, a: Self, b: Self) -> Self;
     /// Sums over the lanes, in a fixed order.
     fn totals(edges: &BlockSums<Self>) -> Totals<Self>;
     fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O;
@@ -151,13 +162,14 @@ impl Real for f32 {
     const SAME: Self = 1e-15;
     plain!(SINGLE, SPARE_SINGLE, f32);
 
-    fn totals(edges: &BlockSums<Self>) -> Totals<Self> {
-        sums::totals_single(edges)
+    #[inline(always)]
+    fn blend(bit: u32, a: Self, b: Self) -> Self {
+        let (a, b) = (a.to_bits(), b.to_bits());
+        Self::from_bits(b ^ ((a ^ b) & bit.wrapping_neg()))
     }
 
-    #[inline(always)]
-    fn floor_i32(self) -> i32 {
-        (self - 0.4999 + ROUND_SINGLE).to_bits().wrapping_sub(ROUND_SINGLE.to_bits()).cast_signed()
+    fn totals(edges: &BlockSums<Self>) -> Totals<Self> {
+        sums::totals_single(edges)
     }
 
     #[inline(always)]
@@ -190,13 +202,14 @@ impl Real for f64 {
     const SAME: Self = 1e-120;
     plain!(DOUBLE, SPARE_DOUBLE, f64);
 
-    fn totals(edges: &BlockSums<Self>) -> Totals<Self> {
-        sums::totals(edges)
+    #[inline(always)]
+    fn blend(bit: u32, a: Self, b: Self) -> Self {
+        let (a, b) = (a.to_bits(), b.to_bits());
+        Self::from_bits(b ^ ((a ^ b) & u64::from(bit).wrapping_neg()))
     }
 
-    #[inline(always)]
-    fn floor_i32(self) -> i32 {
-        (self - 0.4999 + ROUND_DOUBLE).to_bits() as i32
+    fn totals(edges: &BlockSums<Self>) -> Totals<Self> {
+        sums::totals(edges)
     }
 
     #[inline(always)]

@@ -4,6 +4,7 @@ use multiversion::multiversion;
 
 use super::faces::{Block, Source};
 use super::real::{LANES, Lanes, Real};
+use super::visits::Visit;
 
 /// Of an edge, over the pixels of a tile in lanes: weight times `across`, `across * along`, `beyond`
 /// with the sign of the end, `beyond`; `along` ends at the ends of the edge.
@@ -16,8 +17,6 @@ pub(super) type BlockSums<R> = [EdgeSums<R>; 4 * LANES];
 #[derive(Debug)]
 pub(super) struct Sums<R> {
     pub(super) edges: BlockSums<R>,
-    /// Faces that have any.
-    pub(super) any: [bool; LANES],
 }
 
 /// Sums over the pixels too: the lanes are faces.
@@ -25,7 +24,7 @@ pub(super) type Totals<R> = [[[R; LANES]; 4]; 3];
 
 impl<R: Real> Sums<R> {
     pub(super) fn new() -> Self {
-        Self { edges: [[Lanes::ZERO; 4]; 4 * LANES], any: [false; LANES] }
+        Self { edges: [[Lanes::ZERO; 4]; 4 * LANES] }
     }
 
     /// Those of the edge with this record.
@@ -38,7 +37,6 @@ impl<R: Real> Sums<R> {
     #[inline(always)]
     pub(super) fn clear(&mut self) {
         self.edges[..3 * LANES].as_flattened_mut().fill(Lanes::ZERO);
-        self.any = [false; LANES];
     }
 
     /// Carry the sums of a block on to the corners. With `q` the nearest point of edge `a b` at `s`,
@@ -49,7 +47,7 @@ impl<R: Real> Sums<R> {
         &self,
         source: &Source<'_>,
         block: &Block<R>,
-        [first, count]: [usize; 2],
+        visits: &[Visit],
         factor: f64,
         du: &mut [f64],
         dv: &mut [f64],
@@ -80,11 +78,8 @@ impl<R: Real> Sums<R> {
                 ends[k][3][l] = scale[1] * by;
             }
         }
-        for lane in 0..count {
-            if !self.any[lane] {
-                continue;
-            }
-            let [a, b, c] = source.faces[first + lane];
+        for (lane, visit) in visits.iter().enumerate() {
+            let [a, b, c] = source.faces[visit.face as usize];
             let corners = if block.turned[lane] { [a, c, b] } else { [a, b, c] };
             for k in 0..3 {
                 let (point, before) = (corners[k] as usize, (k + 2) % 3);

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::kaolin::Met;
 use super::real::{LANES, Lanes, Real};
+use super::visits::MOST;
 use crate::raster::{Background, Pixel, Size};
 
 /// Side of a tile in pixels.
@@ -95,6 +95,13 @@ pub(super) struct Run {
     pub(super) to: u32,
 }
 
+impl Run {
+    pub(super) fn new(row: usize, columns: Range<usize>) -> Self {
+        let [row, from, to] = [row, columns.start, columns.end].map(|n| n as u32);
+        Self { row, from, to }
+    }
+}
+
 /// A value for each pixel of a rectangle of tiles, and which of the tiles are in use.
 #[derive(Debug)]
 pub(super) struct Tiles<R> {
@@ -103,13 +110,9 @@ pub(super) struct Tiles<R> {
     pub(super) values: Vec<Lanes<R>>,
     /// Faces that the pixels have met, where these are counted.
     pub(super) met: Vec<[i32; LANES]>,
-    /// Pixels that are not 0, a bit each, where faces are counted.
-    pub(super) open: Vec<u32>,
-    /// Tiles of the faces of a block.
-    pub(super) list: Vec<Met>,
-    /// Tile `(c, r)` is bit `c % 8` of byte `(c / 8) * stride + r`.
-    bits: Vec<u8>,
-    pub(super) places: Places<R>,
+    /// Whether each of the eight tiles from `(c, r)` on to the right is in use, a bit each, at
+    /// `c * stride + r`.
+    eights: Vec<u8>,
 }
 
 impl<R: Real> Default for Tiles<R> {
@@ -118,73 +121,36 @@ impl<R: Real> Default for Tiles<R> {
             rectangle: Rectangle::default(),
             values: Vec::new(),
             met: Vec::new(),
-            open: Vec::new(),
-            list: Vec::new(),
-            bits: Vec::new(),
-            places: Places { x: Vec::new(), y: Vec::new(), count: [0; 2] },
+            eights: Vec::new(),
         }
     }
 }
 
-/// Pixel centres of tiles, in widths from the first pixel centre of another tile.
+/// Pixel centres of the columns and the rows of a visit's tiles, in widths from the first of them.
 #[derive(Debug)]
 pub(super) struct Places<R> {
-    /// Of tiles from `-count` columns away on, up to `count + 7`.
-    x: Vec<Lanes<R>>,
-    /// The same of rows.
-    y: Vec<Lanes<R>>,
-    count: [usize; 2],
+    x: [Lanes<R>; MOST],
+    y: [Lanes<R>; MOST],
 }
-
-/// Those of eight columns and eight rows.
-pub(super) type Window<'a, R> = [&'a [Lanes<R>; 8]; 2];
 
 impl<R: Real> Places<R> {
-    /// For tiles of so many columns and rows.
-    fn lay(&mut self, units: &Units, count: [usize; 2]) {
-        self.count = count;
-        let pixel = |axis: usize, tile: usize, pixel: usize| {
-            let tile = tile as f64 - count[axis] as f64;
-            R::of((SIDE as f64 * tile + pixel as f64) * units.scale[axis])
+    pub(super) fn new(units: &Units) -> Self {
+        let at = |axis: usize, tile: usize, pixel: usize| {
+            R::of((SIDE * tile + pixel) as f64 * units.scale[axis])
         };
-        self.x.clear();
-        self.x.extend(
-            (0..2 * count[0] + 8)
-                .map(|tile| Lanes(std::array::from_fn(|lane| pixel(0, tile, lane % SIDE)))),
-        );
-        self.y.clear();
-        self.y.extend(
-            (0..2 * count[1] + 8)
-                .map(|tile| Lanes(std::array::from_fn(|lane| pixel(1, tile, lane / SIDE)))),
-        );
+        let x = |tile: usize| Lanes(std::array::from_fn(|lane| at(0, tile, lane % SIDE)));
+        let y = |tile: usize| Lanes(std::array::from_fn(|lane| at(1, tile, lane / SIDE)));
+        Self { x: std::array::from_fn(x), y: std::array::from_fn(y) }
     }
 
-    /// Of tiles from so many columns to the right and rows down on.
+    /// Of the tile `8 row + column`.
     #[inline(always)]
-    pub(super) fn window(&self, [right, down]: [usize; 2]) -> Option<Window<'_, R>> {
-        let x = self.x.get(self.count[0] + right..)?.first_chunk()?;
-        let y = self.y.get(self.count[1] + down..)?.first_chunk()?;
-        Some([x, y])
-    }
-
-    /// Of the tile so many columns to the right and rows down.
-    #[inline(always)]
-    pub(super) fn at(&self, [right, down]: [i32; 2]) -> [&Lanes<R>; 2] {
-        let [columns, rows] = self.count.map(|count| count as i32);
-        [&self.x[(columns + right) as usize], &self.y[(rows + down) as usize]]
+    pub(super) fn of(&self, tile: usize) -> [&Lanes<R>; 2] {
+        [&self.x[tile % MOST], &self.y[tile / MOST % MOST]]
     }
 }
 
-/// The low bits of each byte.
-pub(super) const EACH: u64 = 0x0101_0101_0101_0101;
-
 impl<R: Real> Tiles<R> {
-    /// Lay tiles over a rectangle.
-    pub(super) fn lay(&mut self, units: &Units, rectangle: Rectangle) {
-        self.rectangle = rectangle;
-        self.places.lay(units, rectangle.count);
-    }
-
     /// Every pixel of the image gets `value`, those of the tiles that lie outside of it get 0.
     pub(super) fn fill(&mut self, size: Size, value: R) {
         self.values.clear();
@@ -196,14 +162,6 @@ impl<R: Real> Tiles<R> {
     pub(super) fn meet_nobody(&mut self) {
         self.met.clear();
         self.met.resize(self.values.len(), [0; LANES]);
-        self.open.clear();
-        self.open.extend(self.values.iter().map(|tile| {
-            let mut bits = 0;
-            for (l, value) in tile.iter().enumerate() {
-                bits |= u32::from(*value != R::ZERO) << l;
-            }
-            bits
-        }));
     }
 
     /// Set the pixels outside of the image to 0.
@@ -222,8 +180,7 @@ impl<R: Real> Tiles<R> {
         }
     }
 
-    /// Set the pixels of runs to 0. They are in the order of their rows, unless all are in those of
-    /// the tiles.
+    /// Set the pixels of runs to 0. They are in the order of their rows.
     pub(super) fn cover(&mut self, runs: &[Run], size: Size) {
         let [columns, rows] = self.rectangle.pixels(size);
         let count = self.rectangle.count[0];
@@ -251,46 +208,38 @@ impl<R: Real> Tiles<R> {
 
     /// The tiles in use are those where a pixel is larger than `least`, in size.
     pub(super) fn mark(&mut self, least: R) {
-        let stride = self.stride();
-        self.bits.clear();
-        let columns = self.rectangle.count[0];
-        self.bits.resize((columns / 8 + 2) * stride, 0);
+        let (columns, stride) = (self.rectangle.count[0], self.stride());
+        self.eights.clear();
+        self.eights.resize(columns * stride, 0);
         for (row, tiles) in self.values.chunks_exact(columns).enumerate() {
             for (column, tile) in tiles.iter().enumerate() {
                 let mut most = R::ZERO;
                 for t in &**tile {
                     most = most.most(t.abs());
                 }
-                self.bits[(column / 8) * stride + row] |= u8::from(most > least) << (column % 8);
+                self.eights[column * stride + row] = u8::from(most > least);
+            }
+        }
+        for column in (1..columns).rev() {
+            let (left, right) = self.eights.split_at_mut(column * stride);
+            for (left, right) in left[(column - 1) * stride..].iter_mut().zip(right) {
+                *left |= *right << 1;
             }
         }
     }
 
+    /// Rows of eights: those of the tiles, and eight without any.
     fn stride(&self) -> usize {
-        self.rectangle.count[1] + 8
+        self.rectangle.count[1] + MOST
     }
 
-    /// The tiles in use among 8x8 from a corner on: bit `8 row + column`.
+    /// The tiles in use among 8x8 from a corner on that is one of them: bit `8 row + column`.
     #[inline(always)]
-    fn eight_by_eight(&self, column: usize, row: usize) -> u64 {
-        let stride = self.stride();
-        let at = (column / 8) * stride + row;
-        let eight = |at: usize| {
-            let mut bytes = [0; 8];
-            bytes.copy_from_slice(&self.bits[at..at + 8]);
-            u64::from_le_bytes(bytes)
-        };
-        let shift = column % 8;
-        let keep = EACH * (0xFF >> shift);
-        ((eight(at) >> shift) & keep) | ((eight(at + stride) << (8 - shift)) & !keep)
-    }
-
-    /// The tiles in use within `columns` by `rows` (at most 8 each are looked at) from a corner on.
-    #[inline(always)]
-    pub(super) fn used(&self, column: usize, row: usize, columns: usize, rows: usize) -> u64 {
-        let line = EACH * (0xFF >> (8 - columns.min(8)));
-        let block = if rows < 8 { line & ((1 << (8 * rows)) - 1) } else { line };
-        self.eight_by_eight(column, row) & block
+    pub(super) fn used(&self, column: usize, row: usize) -> u64 {
+        let at = column * self.stride() + row;
+        let mut bytes = [0; MOST];
+        bytes.copy_from_slice(&self.eights[at..at + MOST]);
+        u64::from_le_bytes(bytes)
     }
 
     /// The tiles as a mask, `1 - value`, into an image from row `top` on, which is 0 where there are

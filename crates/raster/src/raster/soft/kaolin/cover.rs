@@ -4,20 +4,44 @@ use multiversion::multiversion;
 
 use super::super::real::LANES;
 use super::super::tiles::Run;
-use super::points::{Bounds, Grid, Points, of_face};
-use crate::raster::{Model, Screen, Size};
+use super::super::visits::{Bounds, of_face};
+use super::points::{Grid, Points};
+use crate::raster::outline::Faces;
+use crate::raster::{Model, Screen, Size, hard};
 
 /// Added to denominators, in multiplied units.
 const EPSILON: f64 = 1e-15;
 /// Faces at this depth (metres, down -z) or beyond are not drawn.
 const DEEPEST: f64 = -1000.0;
+/// Up to this part of it, rounding does not matter.
+const CERTAIN: f64 = 0.999;
 
 /// Side of a block of pixels, a lane each.
 const SIDE: usize = 4;
 
-/// Add the pixels inside of faces to `runs`.
-#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+/// Add the pixels inside of faces to `runs`, row after row.
+///
+/// Away from edges, where rounding decides nothing, they are those of any point-sampled mask.
 pub(in super::super) fn cover(
+    model: &Model,
+    screen: &Screen,
+    size: Size,
+    runs: &mut Vec<Run>,
+) {
+    if screen.z.iter().all(|&z| z < CERTAIN * -DEEPEST) {
+        let cover = |row, columns| runs.push(Run::new(row, columns));
+        if !hard::runs(model, screen, Faces::Front, size, cover) {
+            return;
+        }
+        runs.clear();
+    }
+    cover_exactly(model, screen, &Points::new(screen, size), size, runs);
+    runs.sort_unstable_by_key(|run| (run.row, run.from));
+}
+
+/// As Kaolin decides it, pixel by pixel.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+fn cover_exactly(
     model: &Model,
     screen: &Screen,
     points: &Points,
@@ -26,12 +50,12 @@ pub(in super::super) fn cover(
 ) {
     let grid = Grid::new(size);
     for faces in screen.faces(model).chunks(LANES) {
-        let front = front(screen, faces);
         let mut boxes = [([0; 4], [0; 3]); LANES];
         let mut kept = 0;
-        for (face, front) in faces.iter().zip(front) {
+        for face in faces {
             let bounds = of_face(&points.held, *face);
             boxes[kept] = (bounds, *face);
+            let front = screen.is_front(*face);
             kept += usize::from(front & (bounds[0] < -bounds[2]) & (bounds[1] < -bounds[3]));
         }
         for (bounds, face) in &boxes[..kept] {
@@ -50,24 +74,6 @@ pub(in super::super) fn cover(
             }
         }
     }
-}
-
-/// Whether `n_z >= 0` in Kaolin's camera frame.
-#[inline(always)]
-fn front(screen: &Screen, faces: &[[u32; 3]]) -> [bool; LANES] {
-    let mut corners = [[0.0; LANES]; 6];
-    for (l, face) in faces.iter().enumerate() {
-        for k in 0..3 {
-            corners[2 * k][l] = screen.x[face[k] as usize];
-            corners[2 * k + 1][l] = -screen.y[face[k] as usize];
-        }
-    }
-    let mut front = [false; LANES];
-    for l in 0..LANES {
-        let [ax, ay, bx, by, cx, cy] = [0, 1, 2, 3, 4, 5].map(|k| corners[k][l]);
-        front[l] = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) >= 0.0;
-    }
-    front
 }
 
 /// A face in multiplied NDC.

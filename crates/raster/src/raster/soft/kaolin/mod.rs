@@ -16,138 +16,117 @@ mod points;
 use multiversion::multiversion;
 
 pub(super) use self::cover::cover;
-pub(super) use self::points::Points;
-use self::points::of_face;
+pub(super) use self::points::grown;
 use super::faces::{Block, Source};
-use super::kernel::{self, Measured, Pixels};
-use super::real::{LANES, Real};
+use super::items::Items;
+use super::kernel::{self, Held, Measured, Pixels};
+use super::real::{BIT, LANES, Real};
 use super::sums::Sums;
-use super::tiles::{Rectangle, SIDE, Tiles};
-use crate::raster::KaolinCutoff;
+use super::tiles::{Places, SIDE, Tiles};
+use super::visits::{Bounds, MOST, Visit};
 
-/// Faces in order, and what is counted of them.
+/// The boxes of faces, and how many a pixel counts.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Boxes<'a, 'b> {
-    source: &'a Source<'b>,
-    points: &'a Points,
-    most: i32,
+pub(super) struct Boxes<'a> {
+    /// Of each image point, by [`grown`].
+    pub(super) bounds: &'a [Bounds],
+    pub(super) knum: usize,
 }
 
-impl<'a, 'b> Boxes<'a, 'b> {
-    pub(super) fn new(source: &'a Source<'b>, points: &'a Points, cutoff: KaolinCutoff) -> Self {
-        let most = i32::try_from(cutoff.knum).unwrap_or(i32::MAX);
-        Self { source, points, most }
+/// The pixels of its tiles that a visit holds, a bit each.
+struct Cells {
+    /// For each tile `8 row + column` and visit.
+    held: [[u32; LANES]; MOST * MOST],
+}
+
+impl Cells {
+    const fn new() -> Self {
+        Self { held: [[0; LANES]; MOST * MOST] }
     }
 
-    /// List the tiles in use that the boxes of a block meet, one face after another; how many they
-    /// are. What follows them in the list is of no account.
+    /// Those of the boxes.
     #[inline(always)]
-    fn list<R: Real>(
-        &self,
-        block: &Block<R>,
-        faces: &[[u32; 3]],
-        tiles: &Tiles<R>,
-        list: &mut Vec<Met>,
-    ) -> usize {
-        let mut count = 0;
-        let Rectangle { first, count: [across, down] } = tiles.rectangle;
-        let [x, y] = first.map(|tile| (SIDE * tile) as i32);
-        let end = |pixel: i32, count: usize| (pixel.max(0) as usize).div_ceil(SIDE).min(count);
-        for (lane, &face) in faces.iter().enumerate() {
-            let bounds = of_face(&self.points.grown, face);
-            let (left, right) = (bounds[0] - x, -bounds[2] - x);
-            let (top, bottom) = (bounds[1] - y, -bounds[3] - y);
-            let (columns, rows) = (end(right, across), end(bottom, down));
-            let begin = [block.tiles[0][lane], block.tiles[2][lane]];
-            if left >= right || top >= bottom {
+    fn set(&mut self, source: &Source<'_>, bounds: &[Bounds], visits: &[Visit]) {
+        let mut boxes = [[0; 4]; LANES];
+        for (bounds_of, visit) in boxes.iter_mut().zip(visits) {
+            let [a, b, c] = source.faces[visit.face as usize].map(|k| bounds[k as usize]);
+            for k in 0..4 {
+                bounds_of[k] = a[k].min(b[k]).min(c[k]);
+            }
+        }
+        let [x, y] = source.rectangle.first.map(|tile| tile as i32);
+        let mut sides = [[0; LANES]; 4];
+        let mut used = 0;
+        for (lane, visit) in visits.iter().take(LANES).enumerate() {
+            let [left, top, right, bottom] = boxes[lane];
+            let column = SIDE as i32 * (x + i32::from(visit.column));
+            let row = SIDE as i32 * (y + i32::from(visit.row));
+            sides[0][lane] = left - column;
+            sides[1][lane] = -right - column;
+            sides[2][lane] = top - row;
+            sides[3][lane] = -bottom - row;
+            used |= visit.used;
+        }
+        let [left, right, top, bottom] = sides;
+        let used = used.to_le_bytes();
+        let columns = used.iter().fold(0, |columns, row| columns | row);
+        let columns = (8 - columns.leading_zeros()) as usize;
+        let mut in_columns = [[0; LANES]; MOST];
+        for (tile, pixels) in in_columns[..columns].iter_mut().enumerate() {
+            let first = (SIDE * tile) as i32;
+            for l in 0..LANES {
+                let (from, to) = within(left[l] - first, right[l] - first);
+                let four = (0xF << from) & (0xF >> (4 - to));
+                let eight = four | four << 4;
+                pixels[l] = eight | eight << 8;
+            }
+        }
+        for (row, held) in self.held.chunks_exact_mut(MOST).enumerate() {
+            if used[row] == 0 {
                 continue;
             }
-            for row in (top.max(0) as usize / SIDE..rows).step_by(8) {
-                for column in (left.max(0) as usize / SIDE..columns).step_by(8) {
-                    let mut used = tiles.used(column, row, columns - column, rows - row);
-                    let one = block.near.from(lane, &block.tiles, [column, row]);
-                    if list.len() < count + 64 {
-                        list.resize(2 * (count + 64), Met::default());
-                    }
-                    let (c, r) = ((SIDE * column) as i32, (SIDE * row) as i32);
-                    let in_columns = columns_of(left - c, right - c);
-                    let in_rows = rows_of(top - r, bottom - r);
-                    while used != 0 {
-                        let bit = used.trailing_zeros() as usize;
-                        let (c, r) = (column + bit % 8, row + bit / 8);
-                        let at = r * across + c;
-                        let pixels = in_columns[bit % 8] & in_rows[bit / 8 % 8] & tiles.open[at];
-                        let record = LANES as u32 * edge_of(one, bit) + lane as u32;
-                        let (place, at) = ([c as i32 - begin[0], r as i32 - begin[1]], at as u32);
-                        list[count] = Met { record, place, at, pixels };
-                        count += usize::from(pixels != 0);
-                        used &= used - 1;
-                    }
+            let first = (SIDE * row) as i32;
+            let mut in_row = [0; LANES];
+            for l in 0..LANES {
+                let (from, to) = within(top[l] - first, bottom[l] - first);
+                in_row[l] = (0xFFFF << (4 * from)) & (0xFFFF >> (16 - 4 * to));
+            }
+            for (held, in_column) in held.iter_mut().zip(&in_columns[..columns]) {
+                for l in 0..LANES {
+                    held[l] = in_row[l] & in_column[l];
                 }
             }
         }
-        count
+    }
+
+    /// Leave those that have met less than `most` faces before, tile after tile.
+    #[inline(always)]
+    fn count(&mut self, items: &Items, met: &mut [[i32; LANES]], most: i32) {
+        for (lane, tile) in items.all.iter() {
+            let held = &mut self.held[tile % (MOST * MOST)][lane % LANES];
+            let met = &mut met[items.place(lane, tile)];
+            let mut left = [0; LANES];
+            for l in 0..LANES {
+                let counts = (*held & BIT[l] != 0) & (met[l] < most);
+                met[l] += i32::from(counts);
+                left[l] = if counts { BIT[l] } else { 0 };
+            }
+            *held = left.iter().fold(0, |bits, bit| bits | bit);
+        }
+    }
+
+    #[inline(always)]
+    fn of(&self, lane: usize, tile: usize) -> u32 {
+        self.held[tile % (MOST * MOST)][lane % LANES]
     }
 }
 
-/// The pixels of each of eight tiles next to each other that are in the columns of a box, which may
-/// begin and end anywhere.
+/// As pixels of a tile, none of them where the end is before the beginning.
 #[inline(always)]
-fn columns_of(from: i32, to: i32) -> [u32; 8] {
-    let mut pixels = [0; 8];
-    for (tile, pixels) in pixels.iter_mut().enumerate() {
-        let first = (SIDE * tile) as i32;
-        let (from, to) = ((from - first).clamp(0, 4), (to - first).clamp(0, 4));
-        *pixels = ((0xF << from) & (0xF >> (4 - to))) * 0x1111;
-    }
-    pixels
+fn within(from: i32, to: i32) -> (u32, u32) {
+    let clamp = |n: i32| n.max(0).min(SIDE as i32) as u32;
+    (clamp(from), clamp(to))
 }
-
-/// The same of tiles below each other and the rows of a box.
-#[inline(always)]
-fn rows_of(from: i32, to: i32) -> [u32; 8] {
-    let mut pixels = [0; 8];
-    for (tile, pixels) in pixels.iter_mut().enumerate() {
-        let first = (SIDE * tile) as i32;
-        let (from, to) = ((from - first).clamp(0, 4), (to - first).clamp(0, 4));
-        *pixels = (0xFFFF << (4 * from)) & (0xFFFF >> (16 - 4 * to));
-    }
-    pixels
-}
-
-/// Records from here on are all edges of a face.
-const ALL: usize = 3 * LANES;
-
-/// The edge that alone gives the distance to a tile, or 3.
-#[inline(always)]
-fn edge_of(one: [u64; 3], at: usize) -> u32 {
-    let [a, b, c] = one.map(|bits| (bits >> at) as u32 & 1);
-    3 - 3 * a - 2 * b - c
-}
-
-/// A tile that the box of a face meets.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Met {
-    /// `16 k + lane` for the one edge `k` to measure of a face of the block, with 3 for [`ALL`].
-    record: u32,
-    /// `(column, row)` from the first tile within reach of the face.
-    place: [i32; 2],
-    /// Among all tiles.
-    at: u32,
-    /// Those in the box that are not covered, a bit each.
-    pixels: u32,
-}
-
-/// The bit of each pixel of a tile.
-const BIT: [u32; LANES] = {
-    let mut bits = [0; LANES];
-    let mut l = 0;
-    while l < LANES {
-        bits[l] = 1 << l;
-        l += 1;
-    }
-    bits
-};
 
 /// Pixels of a tile that have met less than `most` faces so far; asked for, they have met one more.
 struct Counted<'a> {
@@ -158,99 +137,105 @@ struct Counted<'a> {
 
 impl Pixels for Counted<'_> {
     #[inline(always)]
-    fn has(&mut self, lane: usize) -> bool {
+    fn choose<R: Real>(&mut self, lane: usize, counts: R, else_: R) -> R {
         let has = (self.pixels & BIT[lane] != 0) & (self.met[lane] < self.most);
         self.met[lane] += i32::from(has);
-        has
+        if has { counts } else { else_ }
     }
 }
 
 /// As [`kernel::draw`].
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-pub(super) fn draw<R: Real>(boxes: Boxes<'_, '_>, tiles: &mut Tiles<R>) {
+pub(super) fn draw<R: Real>(
+    source: &Source<'_>,
+    boxes: Boxes<'_>,
+    tiles: &mut Tiles<R>,
+    visits: &[Visit],
+) {
     multiversion::target::match_target! {
-        "x86_64+avx2+fma" => draw_all::<R, true>(boxes, tiles),
-        _ => draw_all::<R, { crate::FUSED }>(boxes, tiles),
+        "x86_64+avx2+fma" => draw_all::<R, true>(source, boxes, tiles, visits),
+        _ => draw_all::<R, { crate::FUSED }>(source, boxes, tiles, visits),
     }
 }
 
 /// As [`kernel::back`].
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 pub(super) fn back<R: Real>(
-    boxes: Boxes<'_, '_>,
+    source: &Source<'_>,
+    boxes: Boxes<'_>,
     tiles: &mut Tiles<R>,
+    visits: &[Visit],
     factor: f64,
-    du: &mut [f64],
-    dv: &mut [f64],
+    out: [&mut [f64]; 2],
 ) {
     multiversion::target::match_target! {
-        "x86_64+avx2+fma" => back_all::<R, true>(boxes, tiles, factor, [du, dv]),
-        _ => back_all::<R, { crate::FUSED }>(boxes, tiles, factor, [du, dv]),
+        "x86_64+avx2+fma" => back_all::<R, true>(source, boxes, tiles, visits, factor, out),
+        _ => back_all::<R, { crate::FUSED }>(source, boxes, tiles, visits, factor, out),
     }
 }
 
 #[inline(always)]
-fn draw_all<R: Real, const FMA: bool>(boxes: Boxes<'_, '_>, tiles: &mut Tiles<R>) {
-    let faces = boxes.source.faces;
-    let (mut block, mut list) = (Block::new(), std::mem::take(&mut tiles.list));
+fn draw_all<R: Real, const FMA: bool>(
+    source: &Source<'_>,
+    boxes: Boxes<'_>,
+    tiles: &mut Tiles<R>,
+    visits: &[Visit],
+) {
+    let (mut block, mut items, mut cells) = (Block::new(), Items::new(), Cells::new());
+    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
     tiles.meet_nobody();
-    let mut first = 0;
-    while first < faces.len() {
-        let count = block.load(boxes.source, first, true);
-        let met = boxes.list(&block, &faces[first..first + count], tiles, &mut list);
-        let Tiles { values, met: counts, places, .. } = &mut *tiles;
-        for tile in &list[..met] {
-            let (record, at) = (tile.record as usize, tile.at as usize);
-            let lane = record % LANES;
-            let place = places.at(tile.place);
-            let (values, met) = (&mut values[at], &mut counts[at]);
-            let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
-            if record >= ALL {
-                kernel::draw_tile::<R, FMA, false>(&block, lane, place, values, pixels);
-            } else {
-                let from = Measured::new::<FMA>(&block, record, place);
-                kernel::draw_one::<R, FMA, false>(&from, values, pixels);
-            }
+    let Tiles { values, met, .. } = tiles;
+    for visits in visits.chunks(LANES) {
+        block.load(source, visits);
+        cells.set(source, boxes.bounds, visits);
+        items.find_all(visits, stride);
+        for (lane, tile) in items.all.iter() {
+            let (at, pixels) = (items.place(lane, tile), cells.of(lane, tile));
+            let (values, met) = (&mut values[at], &mut met[at]);
+            let pixels = Counted { pixels, met, most };
+            kernel::draw_tile::<R, FMA, false>(&block, lane, places.of(tile), values, pixels);
         }
-        first += LANES;
     }
-    tiles.list = list;
 }
 
 #[inline(always)]
 fn back_all<R: Real, const FMA: bool>(
-    boxes: Boxes<'_, '_>,
+    source: &Source<'_>,
+    boxes: Boxes<'_>,
     tiles: &mut Tiles<R>,
+    visits: &[Visit],
     factor: f64,
     [du, dv]: [&mut [f64]; 2],
 ) {
-    let faces = boxes.source.faces;
-    let (mut block, mut list) = (Block::new(), std::mem::take(&mut tiles.list));
+    let (mut block, mut items, mut cells) = (Block::new(), Items::new(), Cells::new());
     let mut sums = Sums::new();
+    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
+    let counted = boxes.knum < source.faces.len();
     tiles.meet_nobody();
-    let mut first = 0;
-    while first < faces.len() {
-        let count = block.load(boxes.source, first, true);
-        let met = boxes.list(&block, &faces[first..first + count], tiles, &mut list);
-        let Tiles { values, met: counts, places, .. } = &mut *tiles;
-        sums.clear();
-        for tile in &list[..met] {
-            let (record, at) = (tile.record as usize, tile.at as usize);
-            let lane = record % LANES;
-            let place = places.at(tile.place);
-            let (values, met) = (&values[at], &mut counts[at]);
-            let pixels = Counted { pixels: tile.pixels, met, most: boxes.most };
-            sums.any[lane] = true;
-            if record >= ALL {
-                let sums = &mut sums;
-                kernel::back_tile::<R, FMA, false>(&block, lane, place, values, sums, pixels);
-            } else {
-                let from = Measured::new::<FMA>(&block, record, place);
-                kernel::back_one::<R, FMA, false>(&from, values, sums.of(record), pixels);
-            }
+    let Tiles { values, met, .. } = tiles;
+    for visits in visits.chunks(LANES) {
+        block.load_near(source, visits, true);
+        cells.set(source, boxes.bounds, visits);
+        if counted {
+            items.find_all(visits, stride);
+            cells.count(&items, met, most);
         }
-        sums.scatter(boxes.source, &block, [first, count], factor, du, dv);
-        first += LANES;
+        items.find(visits, stride, &block, |_| u64::MAX);
+        sums.clear();
+        for (record, tile) in items.one.iter() {
+            let values = &values[items.place(record, tile)];
+            let from = Measured::new::<FMA>(&block, record, places.of(tile));
+            let pixels = Held(cells.of(record, tile));
+            kernel::back_one::<R, FMA, false>(&from, values, sums.of(record), pixels);
+        }
+        for (lane, tile) in items.all.iter() {
+            let values = &values[items.place(lane, tile)];
+            let pixels = Held(cells.of(lane, tile));
+            let (place, sums) = (places.of(tile), &mut sums);
+            kernel::back_tile::<R, FMA, false>(&block, lane, place, values, sums, pixels);
+        }
+        sums.scatter(source, &block, visits, factor, du, dv);
     }
-    tiles.list = list;
 }

@@ -3,15 +3,11 @@
 use multiversion::multiversion;
 
 use super::super::real::{LANES, ROUND_DOUBLE};
+use super::super::visits::Bounds;
 use crate::raster::{Screen, Size};
 
 /// What `DIBRenderer` multiplies coordinates by.
 const MULTIPLIER: f64 = 1000.0;
-
-/// Where the pixel centres of a bounding box begin and end: first column, first row, and the
-/// column and the row after the last, these two negative: the bounds of a face are the least ones
-/// of its corners.
-pub(super) type Bounds = [i32; 4];
 
 /// Pixel centres in multiplied NDC, x to the right, y up.
 #[derive(Debug, Clone, Copy)]
@@ -24,55 +20,51 @@ pub(super) struct Grid {
     part: [f64; 2],
 }
 
-/// What boxes and insides are decided by, for each image point.
-#[derive(Debug, Default)]
-pub(in super::super) struct Points {
+/// What insides are decided by, for each image point.
+#[derive(Debug)]
+pub(super) struct Points {
     /// In multiplied NDC.
     pub(super) x: Vec<f64>,
     pub(super) y: Vec<f64>,
     /// Bounds of the centres that the box of a face holds.
     pub(super) held: Vec<Bounds>,
-    /// The same of the grown box.
-    pub(super) grown: Vec<Bounds>,
 }
 
 impl Points {
-    /// Those of a screen; boxes are grown by `boxlen` (NDC).
-    pub(in super::super) fn set(&mut self, screen: &Screen, size: Size, boxlen: f64) {
+    /// Those of a screen.
+    pub(super) fn new(screen: &Screen, size: Size) -> Self {
         let grid = Grid::new(size);
-        let Self { x, y, held, grown } = self;
-        x.clear();
-        x.extend(screen.u.iter().map(|u| (u * grid.part[0] - 1.0) * MULTIPLIER));
-        y.clear();
-        y.extend(screen.v.iter().map(|v| (v * grid.part[1] + 1.0) * MULTIPLIER));
-        bounds(&grid, [x, y], 0.0, held);
-        bounds(&grid, [x, y], boxlen * MULTIPLIER, grown);
+        let mut held = Vec::new();
+        bounds(&grid, screen, 0.0, &mut held);
+        Self {
+            x: screen.u.iter().map(|&u| grid.across(u)).collect(),
+            y: screen.v.iter().map(|&v| grid.up(v)).collect(),
+            held,
+        }
     }
 }
 
-/// The bounds of a face from those of the image points.
-#[inline(always)]
-pub(super) fn of_face(bounds: &[Bounds], face: [u32; 3]) -> Bounds {
-    let [a, b, c] = face.map(|k| bounds[k as usize]);
-    [0, 1, 2, 3].map(|k| a[k].min(b[k]).min(c[k]))
+/// The bounds of the box that each image point alone would have, grown by `boxlen` (NDC).
+pub(in super::super) fn grown(screen: &Screen, size: Size, boxlen: f64, out: &mut Vec<Bounds>) {
+    bounds(&Grid::new(size), screen, boxlen * MULTIPLIER, out);
 }
 
 /// The bounds of the half-open box of each point, grown by `margin`.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-fn bounds(grid: &Grid, [x, y]: [&[f64]; 2], margin: f64, out: &mut Vec<Bounds>) {
-    out.clear();
-    out.resize(x.len(), [0; 4]);
-    let chunks = x.chunks(LANES).zip(y.chunks(LANES));
-    for ((x, y), out) in chunks.zip(out.chunks_mut(LANES)) {
-        let (mut px, mut py) = ([0.0; LANES], [0.0; LANES]);
-        px[..x.len()].copy_from_slice(x);
-        py[..y.len()].copy_from_slice(y);
+fn bounds(grid: &Grid, screen: &Screen, margin: f64, out: &mut Vec<Bounds>) {
+    out.resize(screen.u.len(), [0; 4]);
+    let chunks = screen.u.chunks(LANES).zip(screen.v.chunks(LANES));
+    for ((u, v), out) in chunks.zip(out.chunks_mut(LANES)) {
+        let (mut pu, mut pv) = ([0.0; LANES], [0.0; LANES]);
+        pu[..u.len()].copy_from_slice(u);
+        pv[..v.len()].copy_from_slice(v);
         let mut lanes = [[0; LANES]; 4];
         for l in 0..LANES {
-            lanes[0][l] = grid.first_column(px[l] - margin);
-            lanes[1][l] = grid.first_row(py[l] + margin);
-            lanes[2][l] = -grid.first_column(px[l] + margin);
-            lanes[3][l] = -grid.first_row(py[l] - margin);
+            let (x, y) = (grid.across(pu[l]), grid.up(pv[l]));
+            lanes[0][l] = grid.first_column(x - margin);
+            lanes[1][l] = grid.first_row(y + margin);
+            lanes[2][l] = -grid.first_column(x + margin);
+            lanes[3][l] = -grid.first_row(y - margin);
         }
         for (l, out) in out.iter_mut().enumerate() {
             *out = [lanes[0][l], lanes[1][l], lanes[2][l], lanes[3][l]];
@@ -85,6 +77,18 @@ impl Grid {
         let [width, height] = [size.width as f64, size.height as f64];
         let half = [MULTIPLIER / width, MULTIPLIER / height];
         Self { sides: [width, height], half, part: [2.0 / width, -2.0 / height] }
+    }
+
+    /// Multiplied NDC of a place in pixels, x.
+    #[inline(always)]
+    fn across(&self, u: f64) -> f64 {
+        (u * self.part[0] - 1.0) * MULTIPLIER
+    }
+
+    /// The same, y.
+    #[inline(always)]
+    fn up(&self, v: f64) -> f64 {
+        (v * self.part[1] + 1.0) * MULTIPLIER
     }
 
     /// The centres of a column.

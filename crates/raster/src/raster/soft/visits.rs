@@ -1,0 +1,175 @@
+//! Which faces come near tiles in use, from the bounds of their corners alone.
+
+use multiversion::multiversion;
+
+use super::real::{LANES, ROUND_DOUBLE, Real};
+use super::tiles::{Rectangle, SIDE, Tiles, Units};
+use crate::raster::{Screen, Size};
+
+/// Where the pixels that an image point reaches begin and end: first column, first row, and the column
+/// and the row after the last, these two negative: the bounds of a face are the least ones of its
+/// corners.
+pub(super) type Bounds = [i32; 4];
+
+/// The bounds of a face from those of the image points.
+#[inline(always)]
+pub(super) fn of_face(bounds: &[Bounds], face: [u32; 3]) -> Bounds {
+    let [a, b, c] = face.map(|k| bounds[k as usize]);
+    [0, 1, 2, 3].map(|k| a[k].min(b[k]).min(c[k]))
+}
+
+/// A face and up to 8x8 tiles within its bounds.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Visit {
+    /// Those in use, at least one: bit `8 row + column`.
+    pub(super) used: u64,
+    pub(super) face: u32,
+    /// The first of them.
+    pub(super) column: u16,
+    pub(super) row: u16,
+}
+
+/// Tiles of a visit in a row and in a column.
+pub(super) const MOST: usize = 8;
+
+/// [`Bounds`] in tiles of a rectangle.
+type Tiled = [i16; 4];
+
+/// The visits of the faces of an image.
+#[derive(Debug, Default)]
+pub(super) struct Visits {
+    /// Of each image point.
+    bounds: Vec<Tiled>,
+    visits: Vec<Visit>,
+}
+
+/// The first so many of eight tiles in a row, in each of eight rows, and all tiles of the first so many
+/// rows.
+const FIRST: [[u64; MOST + 1]; 2] = {
+    let mut first = [[0; MOST + 1]; 2];
+    let mut n = 1;
+    while n <= MOST {
+        first[0][n] = 0x0101_0101_0101_0101 * (0xFF >> (MOST - n));
+        first[1][n] = u64::MAX >> (64 - MOST * n);
+        n += 1;
+    }
+    first
+};
+
+impl Visits {
+    /// Those to the tiles in use, in the order of the faces; `bounds` are those of the image points.
+    pub(super) fn find<R: Real>(
+        &mut self,
+        tiles: &Tiles<R>,
+        faces: &[[u32; 3]],
+        bounds: &[Bounds],
+    ) -> &[Visit] {
+        into_tiles(&tiles.rectangle, bounds, &mut self.bounds);
+        let found = find(tiles, faces, &self.bounds, &mut self.visits);
+        &self.visits[..found]
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+fn into_tiles(rectangle: &Rectangle, bounds: &[Bounds], out: &mut Vec<Tiled>) {
+    let [first, count] = [rectangle.first, rectangle.count].map(|n| n.map(|n| n as i32));
+    let origin = [first[0], first[1], -first[0], -first[1]];
+    let (low, high) = ([0, 0, -count[0], -count[1]], [count[0], count[1], 0, 0]);
+    out.resize(bounds.len(), [0; 4]);
+    for (out, bounds) in out.iter_mut().zip(bounds) {
+        for k in 0..4 {
+            // Rounded down, which for the negative ones is away from the first.
+            let tile = (bounds[k] >> SIDE.trailing_zeros()) - origin[k];
+            out[k] = tile.max(low[k]).min(high[k]) as i16;
+        }
+    }
+}
+
+/// Write the visits to the front of `visits`; how many they are.
+#[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
+fn find<R: Real>(
+    tiles: &Tiles<R>,
+    faces: &[[u32; 3]],
+    bounds: &[Tiled],
+    visits: &mut Vec<Visit>,
+) -> usize {
+    let mut found = 0;
+    for (chunk, faces) in faces.chunks(LANES).enumerate() {
+        let mut of_faces = [[0; 4]; LANES];
+        for (out, face) in of_faces.iter_mut().zip(faces) {
+            let [a, b, c] = face.map(|k| bounds[k as usize]);
+            for k in 0..4 {
+                out[k] = a[k].min(b[k]).min(c[k]);
+            }
+        }
+        if visits.len() < found + LANES {
+            visits.resize(2 * (found + LANES), Visit::default());
+        }
+        for (lane, [column, row, right, bottom]) in of_faces[..faces.len()].iter().enumerate() {
+            let face = (LANES * chunk + lane) as u32;
+            let (columns, rows) = (-right - column, -bottom - row);
+            if columns <= 0 || rows <= 0 {
+                continue;
+            }
+            let (columns, rows) = (columns as usize, rows as usize);
+            let (column, row) = (*column as u16, *row as u16);
+            let used = tiles.used(column.into(), row.into());
+            if columns.max(rows) <= MOST {
+                let used = used & FIRST[0][columns] & FIRST[1][rows];
+                visits[found] = Visit { used, face, column, row };
+                found += usize::from(used != 0);
+                continue;
+            }
+            for down in (0..rows).step_by(MOST) {
+                for across in (0..columns).step_by(MOST) {
+                    let (column, row) = (column + across as u16, row + down as u16);
+                    let used = tiles.used(column.into(), row.into())
+                        & FIRST[0][(columns - across).min(MOST)]
+                        & FIRST[1][(rows - down).min(MOST)];
+                    visits[found] = Visit { used, face, column, row };
+                    found += usize::from(used != 0);
+                    if visits.len() < found + LANES {
+                        visits.resize(2 * (found + LANES), Visit::default());
+                    }
+                }
+            }
+        }
+    }
+    found
+}
+
+/// More than rounding, in pixels.
+const MARGIN: f64 = 1e-3;
+
+/// The bounds of the image points within reach of the units.
+#[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
+pub(super) fn reach(screen: &Screen, size: Size, units: &Units, bounds: &mut Vec<Bounds>) {
+    let sides = [size.width as f64, size.height as f64];
+    let reach = [0, 1].map(|axis| units.reach / units.scale[axis] + MARGIN);
+    bounds.resize(screen.u.len(), [0; 4]);
+    let points = screen.u.chunks(LANES).zip(screen.v.chunks(LANES));
+    for ((u, v), bounds) in points.zip(bounds.chunks_mut(LANES)) {
+        let mut place = [[0.0; LANES]; 2];
+        place[0][..u.len()].copy_from_slice(u);
+        place[1][..v.len()].copy_from_slice(v);
+        let mut lanes = [[0; LANES]; 4];
+        for axis in 0..2 {
+            for l in 0..LANES {
+                let at = place[axis][l] - 0.5;
+                lanes[axis][l] = first_from(at - reach[axis], sides[axis]);
+                lanes[axis + 2][l] = -first_from(at + reach[axis], sides[axis]);
+            }
+        }
+        for (l, bounds) in bounds.iter_mut().enumerate() {
+            *bounds = [lanes[0][l], lanes[1][l], lanes[2][l], lanes[3][l]];
+        }
+    }
+}
+
+/// The first whole number from `x` on, between 0 and `n`, but for rounding.
+#[inline(always)]
+fn first_from(x: f64, n: f64) -> i32 {
+    let x = if x > 0.0 { x } else { 0.0 };
+    let x = if x < n { x } else { n };
+    (x + 0.499_999 + ROUND_DOUBLE).to_bits() as i32
+}
