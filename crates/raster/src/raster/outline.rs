@@ -106,7 +106,8 @@ impl Outline {
     ) {
         let mut edges = std::mem::take(&mut self.edges);
         edges.clear();
-        let beyond = keep(&self.choose(model, screen, shift, Faces::All), [height, width], &mut edges);
+        let beyond =
+            keep(&self.choose(model, screen, shift, Faces::All), [height, width], &mut edges);
         (self.edges, self.beyond) = (edges, beyond);
     }
 
@@ -132,44 +133,21 @@ impl Outline {
             signs.clear();
             signs.resize(topology.faces.len(), 0);
         }
+        if faces == Faces::Front {
+            hide_others(model, screen, &mut self.leanings, signs);
+        }
         sides.clear();
-        sides.extend(
-            signs.iter().map(|&sign| [sign.cast_signed(), sign.cast_signed().wrapping_neg()]),
-        );
+        sides.extend(signs.iter().map(|&sign| {
+            let sign = if sign == HIDDEN { 0 } else { sign.cast_signed() };
+            [sign, sign.wrapping_neg()]
+        }));
         for face in memchr::memchr_iter(0, signs) {
             let sign = turn(screen, shift, topology.faces[face]);
             sides[face] = [sign, -sign];
         }
-        if faces == Faces::Front {
-            Self::leave_front(model, screen, &mut self.leanings, sides);
-        }
         sides.push([0, 0]);
         let count = select(topology, sides.as_flattened(), &mut self.chosen);
         Net { topology, screen, shift, chosen: &self.chosen[..count] }
-    }
-
-    /// Leave only faces whose normal does not point along z a layer.
-    fn leave_front(
-        model: &Model,
-        screen: &Screen,
-        leanings: &mut Vec<u8>,
-        sides: &mut [[i8; 2]],
-    ) {
-        if let Some(facing) = screen.facing() {
-            model.planes().leanings(facing, leanings);
-        } else {
-            leanings.clear();
-            leanings.resize(sides.len(), 0);
-        }
-        for (side, leaning) in sides.iter_mut().zip(&*leanings) {
-            *side = if *leaning == 1 { [0, 0] } else { *side };
-        }
-        let faces = screen.faces(model);
-        for face in memchr::memchr_iter(0, leanings) {
-            if !screen.is_front(faces[face]) {
-                sides[face] = [0, 0];
-            }
-        }
     }
 
     /// The part of a canvas that the union can reach, half open; `None` if none.
@@ -260,6 +238,28 @@ fn keep(net: &Net<'_>, [height, width]: [f64; 2], edges: &mut Vec<NetEdge>) -> b
         edges.push(e);
     }
     beyond
+}
+
+/// The sign of a face that has no layer.
+const HIDDEN: u8 = 2;
+
+/// Hide the faces that are not [in front](Screen::is_front).
+fn hide_others(model: &Model, screen: &Screen, leanings: &mut Vec<u8>, signs: &mut [u8]) {
+    if let Some(facing) = screen.facing() {
+        model.planes().leanings(facing, leanings);
+    } else {
+        leanings.clear();
+        leanings.resize(signs.len(), 0);
+    }
+    for (sign, leaning) in signs.iter_mut().zip(&*leanings) {
+        *sign = if *leaning == 1 { HIDDEN } else { *sign };
+    }
+    let faces = screen.faces(model);
+    for face in memchr::memchr_iter(0, leanings) {
+        if !screen.is_front(faces[face]) {
+            signs[face] = HIDDEN;
+        }
+    }
 }
 
 /// Which way round a face runs on the screen: 1, -1, or 0 without area.

@@ -149,9 +149,15 @@ pub(super) fn back<R: Real, T: Pixel>(
                     Profile::Dibr(_) => kernel::back::<R, false>(source, tiles, visits, scale, out),
                     Profile::Kaolin(_, KaolinCutoff { knum, .. }) => {
                         let boxes = Boxes { bounds: image.bounds, knum };
-                        kaolin::back(source, boxes, tiles, visits, scale, out);
+                        if knum < source.faces.len() {
+                            kaolin::back::<R, true>(source, boxes, tiles, visits, scale, out);
+                        } else {
+                            kaolin::back::<R, false>(source, boxes, tiles, visits, scale, out);
+                        }
                     }
-                    Profile::Sigmoid(_) => kernel::back::<R, true>(source, tiles, visits, scale, out),
+                    Profile::Sigmoid(_) => {
+                        kernel::back::<R, true>(source, tiles, visits, scale, out)
+                    }
                 }
             });
         };
@@ -232,12 +238,7 @@ impl Image<'_> {
     }
 
     /// Leave `prod_f (1 - p_f)` in the tiles.
-    fn multiply<R: Real>(
-        &self,
-        source: &Source<'_>,
-        tiles: &mut Tiles<R>,
-        visits: &mut Visits,
-    ) {
+    fn multiply<R: Real>(&self, source: &Source<'_>, tiles: &mut Tiles<R>, visits: &mut Visits) {
         tiles.fill(self.size, R::ONE);
         tiles.cover(self.runs, self.size);
         tiles.mark(R::ZERO);
@@ -246,7 +247,11 @@ impl Image<'_> {
             Profile::Dibr(_) => kernel::draw::<R, false>(source, tiles, visits),
             Profile::Kaolin(_, KaolinCutoff { knum, .. }) => {
                 let boxes = Boxes { bounds: self.bounds, knum };
-                kaolin::draw(source, boxes, tiles, visits);
+                if knum < source.faces.len() {
+                    kaolin::draw::<R, true>(source, boxes, tiles, visits);
+                } else {
+                    kaolin::draw::<R, false>(source, boxes, tiles, visits);
+                }
             }
             Profile::Sigmoid(_) => kernel::draw::<R, true>(source, tiles, visits),
         }

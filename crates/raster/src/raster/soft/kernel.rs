@@ -114,14 +114,14 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
             // The next is measured while this one waits for its exponential.
             for (record, tile) in list {
                 let next = Measured::new::<FMA>(&block, record, places.of(tile));
-                draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at]);
+                draw_one::<R, FMA, SIGMOID>(&from.squared, &mut tiles.values[at], All);
                 (from, at) = (next, items.place(record, tile));
             }
-            draw_one::<R, FMA, SIGMOID>(&from, &mut tiles.values[at]);
+            draw_one::<R, FMA, SIGMOID>(&from.squared, &mut tiles.values[at], All);
         }
         for (lane, tile) in items.all.iter() {
             let values = &mut tiles.values[items.place(lane, tile)];
-            draw_tile::<R, FMA, SIGMOID>(&block, lane, places.of(tile), values, All);
+            draw_tile::<R, FMA, SIGMOID>(&block, lane, places.of(tile), values);
         }
     }
 }
@@ -139,13 +139,29 @@ fn measure<R: Real, const FMA: bool>(block: &Block<R>, record: usize, x: R, y: R
     (across.fused::<FMA>(across, beyond * beyond), across, beyond, along)
 }
 
+/// Squared distance of the pixels of a tile to the nearest edge of a face.
 #[inline(always)]
-pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
+pub(super) fn nearest<R: Real, const FMA: bool>(
+    block: &Block<R>,
+    lane: usize,
+    [x, y]: [&Lanes<R>; 2],
+) -> Lanes<R> {
+    let mut nearest = Lanes::ZERO;
+    for l in 0..LANES {
+        let (d0, _, _, _) = measure::<R, FMA>(block, lane, x[l], y[l]);
+        let (d1, _, _, _) = measure::<R, FMA>(block, LANES + lane, x[l], y[l]);
+        let (d2, _, _, _) = measure::<R, FMA>(block, 2 * LANES + lane, x[l], y[l]);
+        nearest[l] = d0.least(d1).least(d2);
+    }
+    nearest
+}
+
+#[inline(always)]
+fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     block: &Block<R>,
     lane: usize,
     [x, y]: [&Lanes<R>; 2],
     values: &mut Lanes<R>,
-    mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
         let (d0, s0, _, _) = measure::<R, FMA>(block, lane, x[l], y[l]);
@@ -158,24 +174,25 @@ pub(super) fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = pixels.choose(l, left.most(R::LEAST_PRODUCT), values[l]);
+        values[l] = left.most(R::LEAST_PRODUCT);
     }
 }
 
-/// As [`draw_tile`] for a tile outside of the face to which the measured edge is the nearest.
+/// As [`draw_tile`] for a tile outside of the face, from the squared distance.
 #[inline(always)]
 pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
-    from: &Measured<R>,
+    squared: &Lanes<R>,
     values: &mut Lanes<R>,
+    mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
-        let e = from.squared[l].exp2_negative::<FMA>();
+        let e = squared[l].exp2_negative::<FMA>();
         let left = if SIGMOID {
             values[l] / (R::ONE + e)
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = left.most(R::LEAST_PRODUCT);
+        values[l] = pixels.choose(l, left.most(R::LEAST_PRODUCT), values[l]);
     }
 }
 

@@ -14,7 +14,7 @@ pub(super) type Bounds = [i32; 4];
 /// The bounds of a face from those of the image points.
 #[inline(always)]
 pub(super) fn of_face(bounds: &[Bounds], face: [u32; 3]) -> Bounds {
-    let [a, b, c] = face.map(|k| bounds[k as usize]);
+    let [a, b, c] = face.map(|k| &bounds[k as usize]);
     [0, 1, 2, 3].map(|k| a[k].min(b[k]).min(c[k]))
 }
 
@@ -97,7 +97,7 @@ fn find<R: Real>(
     for (chunk, faces) in faces.chunks(LANES).enumerate() {
         let mut of_faces = [[0; 4]; LANES];
         for (out, face) in of_faces.iter_mut().zip(faces) {
-            let [a, b, c] = face.map(|k| bounds[k as usize]);
+            let [a, b, c] = face.map(|k| &bounds[k as usize]);
             for k in 0..4 {
                 out[k] = a[k].min(b[k]).min(c[k]);
             }

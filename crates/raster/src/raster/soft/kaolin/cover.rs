@@ -22,12 +22,7 @@ const SIDE: usize = 4;
 /// Add the pixels inside of faces to `runs`, row after row.
 ///
 /// Away from edges, where rounding decides nothing, they are those of any point-sampled mask.
-pub(in super::super) fn cover(
-    model: &Model,
-    screen: &Screen,
-    size: Size,
-    runs: &mut Vec<Run>,
-) {
+pub(in super::super) fn cover(model: &Model, screen: &Screen, size: Size, runs: &mut Vec<Run>) {
     if screen.z.iter().all(|&z| z < CERTAIN * -DEEPEST) {
         let cover = |row, columns| runs.push(Run::new(row, columns));
         if !hard::runs(model, screen, Faces::Front, size, cover) {
@@ -41,13 +36,7 @@ pub(in super::super) fn cover(
 
 /// As Kaolin decides it, pixel by pixel.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-fn cover_exactly(
-    model: &Model,
-    screen: &Screen,
-    points: &Points,
-    size: Size,
-    runs: &mut Vec<Run>,
-) {
+fn cover_exactly(model: &Model, screen: &Screen, points: &Points, size: Size, runs: &mut Vec<Run>) {
     let grid = Grid::new(size);
     for faces in screen.faces(model).chunks(LANES) {
         let mut boxes = [([0; 4], [0; 3]); LANES];

@@ -20,7 +20,7 @@ pub(super) use self::points::grown;
 use super::faces::{Block, Source};
 use super::items::Items;
 use super::kernel::{self, Held, Measured, Pixels};
-use super::real::{BIT, LANES, Real};
+use super::real::{BIT, LANES, Lanes, Real};
 use super::sums::Sums;
 use super::tiles::{Places, SIDE, Tiles};
 use super::visits::{Bounds, MOST, Visit};
@@ -33,91 +33,89 @@ pub(super) struct Boxes<'a> {
     pub(super) knum: usize,
 }
 
-/// The pixels of its tiles that a visit holds, a bit each.
+/// The pixels of their tiles that the boxes of visits hold, a bit each.
 struct Cells {
-    /// For each tile `8 row + column` and visit.
-    held: [[u32; LANES]; MOST * MOST],
+    /// Those in its columns, for each column of tiles and visit.
+    columns: [[u32; LANES]; MOST],
+    /// Those in its rows, for each row of tiles.
+    rows: [[u32; LANES]; MOST],
 }
 
 impl Cells {
     const fn new() -> Self {
-        Self { held: [[0; LANES]; MOST * MOST] }
+        Self { columns: [[0; LANES]; MOST], rows: [[0; LANES]; MOST] }
     }
 
-    /// Those of the boxes.
     #[inline(always)]
     fn set(&mut self, source: &Source<'_>, bounds: &[Bounds], visits: &[Visit]) {
         let mut boxes = [[0; 4]; LANES];
-        for (bounds_of, visit) in boxes.iter_mut().zip(visits) {
-            let [a, b, c] = source.faces[visit.face as usize].map(|k| bounds[k as usize]);
+        for (out, visit) in boxes.iter_mut().zip(visits) {
+            let [a, b, c] = source.faces[visit.face as usize].map(|k| &bounds[k as usize]);
             for k in 0..4 {
-                bounds_of[k] = a[k].min(b[k]).min(c[k]);
+                out[k] = a[k].min(b[k]).min(c[k]);
             }
         }
         let [x, y] = source.rectangle.first.map(|tile| tile as i32);
         let mut sides = [[0; LANES]; 4];
-        let mut used = 0;
-        for (lane, visit) in visits.iter().take(LANES).enumerate() {
-            let [left, top, right, bottom] = boxes[lane];
+        for (lane, (bounds, visit)) in boxes.iter().zip(visits).enumerate() {
             let column = SIDE as i32 * (x + i32::from(visit.column));
             let row = SIDE as i32 * (y + i32::from(visit.row));
-            sides[0][lane] = left - column;
-            sides[1][lane] = -right - column;
-            sides[2][lane] = top - row;
-            sides[3][lane] = -bottom - row;
-            used |= visit.used;
+            sides[0][lane] = bounds[0] - column;
+            sides[1][lane] = -bounds[2] - column;
+            sides[2][lane] = bounds[1] - row;
+            sides[3][lane] = -bounds[3] - row;
         }
         let [left, right, top, bottom] = sides;
-        let used = used.to_le_bytes();
-        let columns = used.iter().fold(0, |columns, row| columns | row);
-        let columns = (8 - columns.leading_zeros()) as usize;
-        let mut in_columns = [[0; LANES]; MOST];
-        for (tile, pixels) in in_columns[..columns].iter_mut().enumerate() {
+        for tile in 0..MOST {
             let first = (SIDE * tile) as i32;
             for l in 0..LANES {
                 let (from, to) = within(left[l] - first, right[l] - first);
                 let four = (0xF << from) & (0xF >> (4 - to));
                 let eight = four | four << 4;
-                pixels[l] = eight | eight << 8;
-            }
-        }
-        for (row, held) in self.held.chunks_exact_mut(MOST).enumerate() {
-            if used[row] == 0 {
-                continue;
-            }
-            let first = (SIDE * row) as i32;
-            let mut in_row = [0; LANES];
-            for l in 0..LANES {
+                self.columns[tile][l] = eight | eight << 8;
                 let (from, to) = within(top[l] - first, bottom[l] - first);
-                in_row[l] = (0xFFFF << (4 * from)) & (0xFFFF >> (16 - 4 * to));
+                self.rows[tile][l] = (0xFFFF << (4 * from)) & (0xFFFF >> (16 - 4 * to));
             }
-            for (held, in_column) in held.iter_mut().zip(&in_columns[..columns]) {
-                for l in 0..LANES {
-                    held[l] = in_row[l] & in_column[l];
-                }
-            }
-        }
-    }
-
-    /// Leave those that have met less than `most` faces before, tile after tile.
-    #[inline(always)]
-    fn count(&mut self, items: &Items, met: &mut [[i32; LANES]], most: i32) {
-        for (lane, tile) in items.all.iter() {
-            let held = &mut self.held[tile % (MOST * MOST)][lane % LANES];
-            let met = &mut met[items.place(lane, tile)];
-            let mut left = [0; LANES];
-            for l in 0..LANES {
-                let counts = (*held & BIT[l] != 0) & (met[l] < most);
-                met[l] += i32::from(counts);
-                left[l] = if counts { BIT[l] } else { 0 };
-            }
-            *held = left.iter().fold(0, |bits, bit| bits | bit);
         }
     }
 
     #[inline(always)]
     fn of(&self, lane: usize, tile: usize) -> u32 {
-        self.held[tile % (MOST * MOST)][lane % LANES]
+        let columns = self.columns[tile % MOST][lane % LANES];
+        columns & self.rows[tile / MOST % MOST][lane % LANES]
+    }
+}
+
+/// Those of them that count, of all tiles of the visits.
+struct Counting {
+    pixels: [[u16; MOST * MOST]; LANES],
+}
+
+impl Counting {
+    const fn new() -> Self {
+        Self { pixels: [[0; MOST * MOST]; LANES] }
+    }
+
+    /// Leave out those that have met `most` faces before, one visit after another.
+    #[inline(always)]
+    fn set(&mut self, cells: &Cells, items: &Items, met: &mut [[i32; LANES]], most: i32) {
+        for (lane, tile) in items.all.iter() {
+            let held = cells.of(lane, tile);
+            let met = &mut met[items.place(lane, tile)];
+            let mut bits = [0; LANES];
+            for l in 0..LANES {
+                let counts = (held & BIT[l] != 0) & (met[l] < most);
+                met[l] += i32::from(counts);
+                bits[l] = if counts { BIT[l] } else { 0 };
+            }
+            self.pixels[lane % LANES][tile % (MOST * MOST)] =
+                bits.iter().fold(0, |bits, bit| bits | bit) as u16;
+        }
+    }
+
+    #[inline(always)]
+    fn of(&self, lane: usize, tile: usize) -> u32 {
+        u32::from(self.pixels[lane % LANES][tile % (MOST * MOST)])
     }
 }
 
@@ -144,23 +142,23 @@ impl Pixels for Counted<'_> {
     }
 }
 
-/// As [`kernel::draw`].
+/// As [`kernel::draw`]; the faces that a pixel meets are `COUNTED` where they may be too many.
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-pub(super) fn draw<R: Real>(
+pub(super) fn draw<R: Real, const COUNTED: bool>(
     source: &Source<'_>,
     boxes: Boxes<'_>,
     tiles: &mut Tiles<R>,
     visits: &[Visit],
 ) {
     multiversion::target::match_target! {
-        "x86_64+avx2+fma" => draw_all::<R, true>(source, boxes, tiles, visits),
-        _ => draw_all::<R, { crate::FUSED }>(source, boxes, tiles, visits),
+        "x86_64+avx2+fma" => draw_all::<R, true, COUNTED>(source, boxes, tiles, visits),
+        _ => draw_all::<R, { crate::FUSED }, COUNTED>(source, boxes, tiles, visits),
     }
 }
 
 /// As [`kernel::back`].
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
-pub(super) fn back<R: Real>(
+pub(super) fn back<R: Real, const COUNTED: bool>(
     source: &Source<'_>,
     boxes: Boxes<'_>,
     tiles: &mut Tiles<R>,
@@ -169,13 +167,13 @@ pub(super) fn back<R: Real>(
     out: [&mut [f64]; 2],
 ) {
     multiversion::target::match_target! {
-        "x86_64+avx2+fma" => back_all::<R, true>(source, boxes, tiles, visits, factor, out),
-        _ => back_all::<R, { crate::FUSED }>(source, boxes, tiles, visits, factor, out),
+        "x86_64+avx2+fma" => back_all::<R, true, COUNTED>(source, boxes, tiles, visits, factor, out),
+        _ => back_all::<R, { crate::FUSED }, COUNTED>(source, boxes, tiles, visits, factor, out),
     }
 }
 
 #[inline(always)]
-fn draw_all<R: Real, const FMA: bool>(
+fn draw_all<R: Real, const FMA: bool, const COUNTED: bool>(
     source: &Source<'_>,
     boxes: Boxes<'_>,
     tiles: &mut Tiles<R>,
@@ -184,23 +182,40 @@ fn draw_all<R: Real, const FMA: bool>(
     let (mut block, mut items, mut cells) = (Block::new(), Items::new(), Cells::new());
     let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
     let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
-    tiles.meet_nobody();
+    if COUNTED {
+        tiles.meet_nobody();
+    }
     let Tiles { values, met, .. } = tiles;
+    let mut draw = |nearest: &Lanes<R>, at: usize, pixels: u32| {
+        let values = &mut values[at];
+        if COUNTED {
+            let pixels = Counted { pixels, met: &mut met[at], most };
+            kernel::draw_one::<R, FMA, false>(nearest, values, pixels);
+        } else {
+            kernel::draw_one::<R, FMA, false>(nearest, values, Held(pixels));
+        }
+    };
     for visits in visits.chunks(LANES) {
         block.load(source, visits);
         cells.set(source, boxes.bounds, visits);
         items.find_all(visits, stride);
-        for (lane, tile) in items.all.iter() {
-            let (at, pixels) = (items.place(lane, tile), cells.of(lane, tile));
-            let (values, met) = (&mut values[at], &mut met[at]);
-            let pixels = Counted { pixels, met, most };
-            kernel::draw_tile::<R, FMA, false>(&block, lane, places.of(tile), values, pixels);
+        let nearest = |lane, tile| kernel::nearest::<R, FMA>(&block, lane, places.of(tile));
+        let place = |lane, tile| (items.place(lane, tile), cells.of(lane, tile));
+        let mut list = items.all.iter();
+        let Some((lane, tile)) = list.next() else { continue };
+        let (mut from, mut at) = (nearest(lane, tile), place(lane, tile));
+        // The next is measured while this one waits for its exponential.
+        for (lane, tile) in list {
+            let next = nearest(lane, tile);
+            draw(&from, at.0, at.1);
+            (from, at) = (next, place(lane, tile));
         }
+        draw(&from, at.0, at.1);
     }
 }
 
 #[inline(always)]
-fn back_all<R: Real, const FMA: bool>(
+fn back_all<R: Real, const FMA: bool, const COUNTED: bool>(
     source: &Source<'_>,
     boxes: Boxes<'_>,
     tiles: &mut Tiles<R>,
@@ -209,31 +224,33 @@ fn back_all<R: Real, const FMA: bool>(
     [du, dv]: [&mut [f64]; 2],
 ) {
     let (mut block, mut items, mut cells) = (Block::new(), Items::new(), Cells::new());
-    let mut sums = Sums::new();
+    let (mut sums, mut counting) = (Sums::new(), Counting::new());
     let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
     let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
-    let counted = boxes.knum < source.faces.len();
-    tiles.meet_nobody();
+    if COUNTED {
+        tiles.meet_nobody();
+    }
     let Tiles { values, met, .. } = tiles;
     for visits in visits.chunks(LANES) {
         block.load_near(source, visits, true);
         cells.set(source, boxes.bounds, visits);
-        if counted {
+        if COUNTED {
             items.find_all(visits, stride);
-            cells.count(&items, met, most);
+            counting.set(&cells, &items, met, most);
         }
         items.find(visits, stride, &block, |_| u64::MAX);
+        let held =
+            |lane, tile| Held(if COUNTED { counting.of(lane, tile) } else { cells.of(lane, tile) });
         sums.clear();
         for (record, tile) in items.one.iter() {
             let values = &values[items.place(record, tile)];
             let from = Measured::new::<FMA>(&block, record, places.of(tile));
-            let pixels = Held(cells.of(record, tile));
+            let pixels = held(record, tile);
             kernel::back_one::<R, FMA, false>(&from, values, sums.of(record), pixels);
         }
         for (lane, tile) in items.all.iter() {
             let values = &values[items.place(lane, tile)];
-            let pixels = Held(cells.of(lane, tile));
-            let (place, sums) = (places.of(tile), &mut sums);
+            let (place, sums, pixels) = (places.of(tile), &mut sums, held(lane, tile));
             kernel::back_tile::<R, FMA, false>(&block, lane, place, values, sums, pixels);
         }
         sums.scatter(source, &block, visits, factor, du, dv);
