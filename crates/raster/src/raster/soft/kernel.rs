@@ -40,8 +40,8 @@ pub(super) fn back<R: Real, const SIGMOID: bool>(
 
 /// The pixels of a tile that a face counts for.
 pub(super) trait Pixels {
-    /// The first number if the pixel in a lane is one, else the second; asked once for each lane.
-    fn choose<R: Real>(&mut self, lane: usize, counts: R, else_: R) -> R;
+    /// The number if the pixel in a lane is one, else 0; asked once for each lane.
+    fn keep<R: Real>(&mut self, lane: usize, number: R) -> R;
 }
 
 /// All of them.
@@ -49,8 +49,8 @@ pub(super) struct All;
 
 impl Pixels for All {
     #[inline(always)]
-    fn choose<R: Real>(&mut self, _: usize, counts: R, _: R) -> R {
-        counts
+    fn keep<R: Real>(&mut self, _: usize, number: R) -> R {
+        number
     }
 }
 
@@ -59,8 +59,8 @@ pub(super) struct Held(pub(super) u32);
 
 impl Pixels for Held {
     #[inline(always)]
-    fn choose<R: Real>(&mut self, lane: usize, counts: R, else_: R) -> R {
-        R::blend((self.0 >> lane) & 1, counts, else_)
+    fn keep<R: Real>(&mut self, lane: usize, number: R) -> R {
+        number.where_bit((self.0 >> lane) & 1)
     }
 }
 
@@ -186,13 +186,14 @@ pub(super) fn draw_one<R: Real, const FMA: bool, const SIGMOID: bool>(
     mut pixels: impl Pixels,
 ) {
     for l in 0..LANES {
-        let e = squared[l].exp2_negative::<FMA>();
+        // Rather than of the product: numbers stored in part would not be there for the next face.
+        let e = pixels.keep(l, squared[l].exp2_negative::<FMA>());
         let left = if SIGMOID {
             values[l] / (R::ONE + e)
         } else {
             (-e).fused::<FMA>(values[l], values[l])
         };
-        values[l] = pixels.choose(l, left.most(R::LEAST_PRODUCT), values[l]);
+        values[l] = left.most(R::LEAST_PRODUCT);
     }
 }
 
@@ -257,7 +258,7 @@ pub(super) fn back_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
         };
-        let weight = pixels.choose(l, weight, R::ZERO);
+        let weight = pixels.keep(l, weight);
         let first = d0 <= nearest;
         let second = d1 <= nearest;
         let w0 = if first { weight } else { R::ZERO };
@@ -303,7 +304,7 @@ pub(super) fn back_one<R: Real, const FMA: bool, const SIGMOID: bool>(
         } else {
             -values[l] * e / (R::ONE - e).most(R::LEAST_FACTOR)
         };
-        let w = pixels.choose(l, w, R::ZERO);
+        let w = pixels.keep(l, w);
         let g = if a < R::ZERO { -b } else { b };
         sums[0][l] = w.fused::<FMA>(s, sums[0][l]);
         sums[1][l] = (w * s).fused::<FMA>(a - g, sums[1][l]);

@@ -89,8 +89,8 @@ pub(super) trait Real:
     fn fused<const FMA: bool>(self, b: Self, c: Self) -> Self;
     /// `2^-self` for `self >= 0`, accurate to a few units of the last place of 1.
     fn exp2_negative<const FMA: bool>(self) -> Self;
-    /// `a` if the bit is 1, `b` if it is 0. A comparison of the bits of one number would not become lanes.
-    fn blend(bit: u32, a: Self, b: Self) -> Self;
+    /// The number if the bit is 1, 0 if it is 0. Comparing the bits of one number would not become lanes.
+    fn where_bit(self, bit: u32) -> Self;
     /// Sums over the lanes, in a fixed order.
     fn totals(edges: &BlockSums<Self>) -> Totals<Self>;
     fn with_scratch<O>(work: impl FnOnce(&mut Scratch<Self>) -> O) -> O;
@@ -163,9 +163,8 @@ impl Real for f32 {
     plain!(SINGLE, SPARE_SINGLE, f32);
 
     #[inline(always)]
-    fn blend(bit: u32, a: Self, b: Self) -> Self {
-        let (a, b) = (a.to_bits(), b.to_bits());
-        Self::from_bits(b ^ ((a ^ b) & bit.wrapping_neg()))
+    fn where_bit(self, bit: u32) -> Self {
+        Self::from_bits(self.to_bits() & bit.wrapping_neg())
     }
 
     fn totals(edges: &BlockSums<Self>) -> Totals<Self> {
@@ -203,9 +202,8 @@ impl Real for f64 {
     plain!(DOUBLE, SPARE_DOUBLE, f64);
 
     #[inline(always)]
-    fn blend(bit: u32, a: Self, b: Self) -> Self {
-        let (a, b) = (a.to_bits(), b.to_bits());
-        Self::from_bits(b ^ ((a ^ b) & u64::from(bit).wrapping_neg()))
+    fn where_bit(self, bit: u32) -> Self {
+        Self::from_bits(self.to_bits() & u64::from(bit).wrapping_neg())
     }
 
     fn totals(edges: &BlockSums<Self>) -> Totals<Self> {

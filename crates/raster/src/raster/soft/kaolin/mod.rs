@@ -135,10 +135,10 @@ struct Counted<'a> {
 
 impl Pixels for Counted<'_> {
     #[inline(always)]
-    fn choose<R: Real>(&mut self, lane: usize, counts: R, else_: R) -> R {
+    fn keep<R: Real>(&mut self, lane: usize, number: R) -> R {
         let has = (self.pixels & BIT[lane] != 0) & (self.met[lane] < self.most);
         self.met[lane] += i32::from(has);
-        if has { counts } else { else_ }
+        if has { number } else { R::ZERO }
     }
 }
 
