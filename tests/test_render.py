@@ -372,6 +372,12 @@ def test_dtype_and_out():
         ({"mode": "dibr", "kaolin_cutoff": (0.02, 0)}, ValueError, "kaolin_cutoff: expected"),
         ({"mode": "dibr", "kaolin_cutoff": (0.0, 30)}, ValueError, "boxlen: 0"),
         ({"mode": "dibr", "kaolin_cutoff": 3}, ValueError, "kaolin_cutoff: expected"),
+        ({"mode": "dibr", "kaolin_cutoff": (0.02, np.inf)}, ValueError, "kaolin_cutoff: expected"),
+        (
+            {"mode": "sigmoid", "pytorch3d_cutoff": (0.02, None)},
+            ValueError,
+            "pytorch3d_cutoff: expected",
+        ),
         ({"pytorch3d_cutoff": (1e-3, 5)}, ValueError, "pytorch3d_cutoff: belongs to mode"),
         ({"mode": "sigmoid", "pytorch3d_cutoff": (0.0, 5)}, ValueError, "blur_radius: 0"),
         ({"dtype": np.int32}, ValueError, "dtype: expected float32 or float64, got int32"),
@@ -414,6 +420,7 @@ def test_settings_of_kaolin_and_pytorch3d():
     assert render.from_kaolin(7000) == {"mode": "dibr", "delta": 7000.0}
     full = render.from_kaolin(70, boxlen=0.1, knum=5, height=240, width=320)
     assert full["kaolin_cutoff"] == (0.1, 5)
+    assert render.from_kaolin(70, boxlen=0.1, knum=np.inf)["kaolin_cutoff"] == (0.1, None)
     # exp(-70 d^2) is a Gaussian of sqrt(1 / 140); one unit is 160 px along u, 120 along v
     assert full["sigma"] == pytest.approx(np.sqrt(160 * 120 / 140))
     assert render.from_pytorch3d(1e-4) == {"mode": "sigmoid", "sigma_ndc": 1e-4}

@@ -57,12 +57,26 @@ def test_traces_of_forgotten_masks_do_not_pile_up(monkeypatch):
     assert len(_traces._kept) == 1
 
 
-def test_masks_with_cutoffs_leave_no_traces_and_take_none():
+def test_masks_with_pytorch3d_cutoffs_leave_no_traces_and_take_none():
     arguments = inputs()
-    exact = draw(*arguments, mode="dibr")  # its traces wait under the same numbers
-    cut = draw(*arguments, mode="dibr", kaolin_cutoff=(0.02, 30))
+    exact = draw(*arguments, mode="sigmoid")  # its traces wait under the same numbers
+    cut = draw(*arguments, mode="sigmoid", pytorch3d_cutoff=(1e-3, 30))
     before = _traces._kept
     torch.autograd.grad(cut.sum(), arguments)
     assert _traces._kept is before
     torch.autograd.grad(exact.sum(), arguments)
     assert _traces._kept is not before
+
+
+def test_masks_with_kaolin_cutoffs_have_traces_of_their_own():
+    arguments = inputs()
+    exact = draw(*arguments, mode="dibr")
+    cuts = [draw(*arguments, mode="dibr", kaolin_cutoff=(0.02, knum)) for knum in (2, None)]
+    assert len(_traces._kept) >= 3
+    for mask in (*cuts, exact):
+        before = _traces._kept
+        first = torch.autograd.grad(mask.sum(), arguments, retain_graph=True)
+        assert len(_traces._kept) == len(before) - 1
+        again = torch.autograd.grad(mask.sum(), arguments)  # made again
+        for a, b in zip(first, again, strict=True):
+            torch.testing.assert_close(a, b, rtol=0, atol=0)

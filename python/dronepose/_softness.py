@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any, Literal, NamedTuple
 
 Mode = Literal["coverage", "hard", "dibr", "sigmoid"]
@@ -26,7 +27,7 @@ def settings(
     sigma: float,
     delta: float,
     sigma_ndc: float,
-    kaolin_cutoff: tuple[float, int] | None,
+    kaolin_cutoff: tuple[float, int | None] | None,
     pytorch3d_cutoff: tuple[float, int] | None,
 ) -> Settings:
     """The one width and cut-off that the mode uses; ranges are checked by the extension."""
@@ -37,21 +38,29 @@ def settings(
     if pytorch3d_cutoff is not None and mode != "sigmoid":
         raise ValueError(f"pytorch3d_cutoff: belongs to mode 'sigmoid', got mode {mode!r}")
     if mode == "dibr":
-        return Settings(mode, delta, _pair("kaolin_cutoff", "(boxlen, knum)", kaolin_cutoff))
+        cutoff = _pair("kaolin_cutoff", "(boxlen, knum)", kaolin_cutoff, no_count=sys.maxsize)
+        return Settings(mode, delta, cutoff)
     if mode == "sigmoid":
         expected = "(blur_radius, faces_per_pixel)"
         return Settings(mode, sigma_ndc, _pair("pytorch3d_cutoff", expected, pytorch3d_cutoff))
     return Settings(mode, sigma if mode == "coverage" else 0.0, None)
 
 
-def _pair(name: str, expected: str, cutoff: tuple[float, int] | None) -> tuple[float, int] | None:
+def _pair(
+    name: str,
+    expected: str,
+    cutoff: tuple[float, int | None] | None,
+    no_count: int | None = None,
+) -> tuple[float, int] | None:
+    """A length and a count, which ``no_count`` stands for where it is ``None``."""
     if cutoff is None:
         return None
     try:
         length, count = cutoff
     except (TypeError, ValueError):
         raise ValueError(f"{name}: expected {expected}, got {cutoff!r}") from None
-    if int(count) != count or count < 1:
+    count = no_count if count is None else count
+    if count is None or not math.isfinite(count) or int(count) != count or count < 1:
         raise ValueError(f"{name}: expected {expected} with a whole number >= 1, got {cutoff!r}")
     return float(length), int(count)
 
@@ -75,7 +84,7 @@ def from_kaolin(
     sigmainv: float = 7000.0,
     *,
     boxlen: float | None = None,
-    knum: int | None = None,
+    knum: float | None = None,
     height: int | None = None,
     width: int | None = None,
 ) -> dict[str, Any]:
@@ -95,7 +104,8 @@ def from_kaolin(
         sigmainv: Kaolin's inverse squared width; DronePose uses its default, 7000.
         boxlen: Kaolin's cut-off in the same frame (its default is 0.02), for parity with its
             pixels. Without ``boxlen`` and ``knum`` the mask is exact: every face counts.
-        knum: Kaolin's number of faces a pixel (its default is 30), for parity.
+        knum: Kaolin's number of faces a pixel (its default is 30), for parity; ``math.inf`` for all
+            whose grown box holds it.
         height: Rows of the image, for ``sigma``.
         width: Columns of the image, for ``sigma``.
 
@@ -113,12 +123,13 @@ def from_kaolin(
         >>> round(from_kaolin(7000.0, height=240, width=320)["sigma"], 2)
         1.17
     """
-    _positive(sigmainv=sigmainv, boxlen=boxlen, knum=knum)
+    every = knum == math.inf
+    _positive(sigmainv=sigmainv, boxlen=boxlen, knum=None if every else knum)
     found: dict[str, Any] = {"mode": "dibr", "delta": float(sigmainv)}
     if boxlen is not None or knum is not None:
         found["kaolin_cutoff"] = (
             0.02 if boxlen is None else float(boxlen),
-            30 if knum is None else int(knum),
+            30 if knum is None else None if every else int(knum),
         )
     size = _both(height, width)
     if size is not None:

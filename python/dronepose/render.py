@@ -115,7 +115,7 @@ def silhouette(
     delta: float = 7000.0,
     sigma_ndc: float = 1e-4,
     near: float | None = None,
-    kaolin_cutoff: tuple[float, int] | None = None,
+    kaolin_cutoff: tuple[float, int | None] | None = None,
     pytorch3d_cutoff: tuple[float, int] | None = None,
     dtype: DTypeLike | None = None,
     out: Mask | None = None,
@@ -139,7 +139,8 @@ def silhouette(
         sigma_ndc: Squared width of mode ``"sigmoid"``, NDC; above zero.
         near: Distance of the near plane in metres, above zero; ``None`` is 1 mm.
         kaolin_cutoff: ``(boxlen, knum)`` of Kaolin, for parity with its pixels in mode ``"dibr"``;
-            ``None`` is exact. See :func:`from_kaolin`.
+            all faces whose box holds a pixel count where ``knum`` is ``None``; ``None`` is exact.
+            See :func:`from_kaolin`.
         pytorch3d_cutoff: ``(blur_radius, faces_per_pixel)`` of PyTorch3D, for parity in mode
             ``"sigmoid"``; ``None`` is exact. See :func:`from_pytorch3d`.
         dtype: float32 (the default) or float64.
@@ -182,7 +183,7 @@ def silhouette_gradients(
     delta: float = 7000.0,
     sigma_ndc: float = 1e-4,
     near: float | None = None,
-    kaolin_cutoff: tuple[float, int] | None = None,
+    kaolin_cutoff: tuple[float, int | None] | None = None,
     pytorch3d_cutoff: tuple[float, int] | None = None,
     vertices: bool = True,
     threads: int = 0,
@@ -253,7 +254,7 @@ def silhouette_vjp(
     delta: float = 7000.0,
     sigma_ndc: float = 1e-4,
     near: float | None = None,
-    kaolin_cutoff: tuple[float, int] | None = None,
+    kaolin_cutoff: tuple[float, int | None] | None = None,
     pytorch3d_cutoff: tuple[float, int] | None = None,
     dtype: DTypeLike | None = None,
     threads: int = 0,

@@ -51,7 +51,7 @@ def silhouette(
     delta: float = 7000.0,
     sigma_ndc: float = 1e-4,
     near: float | None = None,
-    kaolin_cutoff: tuple[float, int] | None = None,
+    kaolin_cutoff: tuple[float, int | None] | None = None,
     pytorch3d_cutoff: tuple[float, int] | None = None,
     check_finite: bool = False,
     num_threads: int = 0,
@@ -88,7 +88,8 @@ def silhouette(
         delta: Inverse squared width of mode ``"dibr"``, NDC; above zero.
         sigma_ndc: Squared width of mode ``"sigmoid"``, NDC; above zero.
         near: Distance of the near plane in metres, above zero; ``None`` is 1 mm.
-        kaolin_cutoff: ``(boxlen, knum)``, for parity with Kaolin in mode ``"dibr"``.
+        kaolin_cutoff: ``(boxlen, knum)``, for parity with Kaolin in mode ``"dibr"``; all faces in
+            reach of a pixel count where ``knum`` is ``None``.
         pytorch3d_cutoff: ``(blur_radius, faces_per_pixel)``, for parity with PyTorch3D in mode
             ``"sigmoid"``.
         check_finite: Stop in the backward pass where an incoming or outgoing gradient is not
@@ -127,8 +128,8 @@ def silhouette(
         if each.dtype == torch.float64:
             dtype = torch.float64
     wanted = any(each.requires_grad for each in (vertices, R, t, K))
-    exact = chosen.mode != "hard" and chosen.cutoff is None  # what has traces to keep
-    traced = exact and wanted and torch.is_grad_enabled()
+    bare = chosen.mode == "hard" or (chosen.mode == "sigmoid" and chosen.cutoff is not None)
+    traced = not bare and wanted and torch.is_grad_enabled()  # there are traces to keep
     length, count = (None, 0) if chosen.cutoff is None else chosen.cutoff
     masks: Tensor = silhouette_op(
         vertices.to(dtype),

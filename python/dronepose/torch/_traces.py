@@ -1,7 +1,7 @@
 """Traces of the masks of the last forward passes, found again by content.
 
 A gradient needs the outline that a mask of mode ``"coverage"`` was drawn from, or the product that
-an exact soft mask is made of. They cannot travel as an output of the operator (the size of an
+a soft mask is made of. They cannot travel as an output of the operator (the size of an
 outline depends on the values), so they wait here under the very numbers they were made of until the
 backward pass takes them; one that is not found is made again, to the same bits. There is no lock:
 the entries are one tuple that is replaced as a whole.

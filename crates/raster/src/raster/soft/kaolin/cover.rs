@@ -110,3 +110,72 @@ impl Face {
         bits
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Intrinsics;
+    use crate::raster::View;
+
+    fn pixels(runs: &[Run]) -> Vec<(u32, u32)> {
+        let mut pixels: Vec<_> = runs
+            .iter()
+            .flat_map(|run| (run.from..run.to).map(|column| (run.row, column)))
+            .collect();
+        pixels.sort_unstable();
+        pixels.dedup();
+        pixels
+    }
+
+    /// Both ways, and how many pixels there are; `depth` moves everything away.
+    fn compare(seed: u64, grid: f64, depth: f64) -> usize {
+        let mut state = seed;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let mut place = |scale: f64| {
+            let x = scale * (next() - 0.5);
+            if grid > 0.0 { (x / grid).round() * grid } else { x }
+        };
+        let vertices: Vec<[f64; 3]> =
+            (0..60).map(|_| [place(1.2), place(1.2), place(0.8)]).collect();
+        let mut index = seed;
+        let faces: Vec<[u32; 3]> = (0..40)
+            .map(|_| {
+                std::array::from_fn(|_| {
+                    index = index.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(7);
+                    ((index >> 33) % 60) as u32
+                })
+            })
+            .collect();
+        let model = Model::new(&vertices, &faces).expect("valid");
+        let view = View {
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [0.0, 0.0, depth],
+            camera: Intrinsics::new(32.0 * depth, 32.0 * depth, 20.0, 16.0).expect("valid"),
+        };
+        let mut screen = Screen::default();
+        screen.project(&model, &view, 0.3).expect("drawn");
+        let size = Size { height: 32, width: 40 };
+        let (mut fast, mut exact) = (Vec::new(), Vec::new());
+        cover(&model, &screen, size, &mut fast);
+        assert!(fast.is_sorted_by_key(|run| run.row));
+        cover_exactly(&model, &screen, &Points::new(&screen, size), size, &mut exact);
+        assert_eq!(pixels(&fast), pixels(&exact), "{seed}, {grid}, {depth}");
+        pixels(&exact).len()
+    }
+
+    #[test]
+    fn pixels_inside_are_those_that_kaolin_finds() {
+        let mut covered = 0;
+        for seed in 0..100 {
+            covered += compare(seed, 0.0, 2.0);
+            // Centres on edges, faces that are seen from their edge, and others cut at the near plane.
+            covered += compare(seed, 0.25, 2.0);
+            covered += compare(seed, 0.0, 0.5);
+            compare(seed, 0.0, 999.9);
+        }
+        assert!(covered > 10_000, "{covered}");
+    }
+}

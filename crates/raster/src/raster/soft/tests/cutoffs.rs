@@ -126,6 +126,40 @@ fn masks_with_cutoffs_are_those_of_their_description() {
     }
 }
 
+/// Faces of either winding side by side and over each other, at many angles to the camera.
+fn crowd(seed: u64, size: Size, faces: usize) -> Scene {
+    let mut noise = Noise(seed);
+    let [width, height] = [size.width as f64, size.height as f64];
+    let mut scene = Scene { points: Vec::new(), faces: Vec::new(), size };
+    for _ in 0..faces {
+        let (x, y) = (width * noise.next(), height * noise.next());
+        let far = 30.0 * noise.next().powi(4);
+        for _ in 0..3 {
+            let near = |c: f64, noise: &mut Noise| c + (3.0 + far) * (noise.next() - 0.5);
+            let depth = 1.0 + 0.5 * noise.next();
+            scene.points.push([near(x, &mut noise), near(y, &mut noise), depth]);
+        }
+        let first = scene.points.len() as u32 - 3;
+        scene.faces.push([first, first + 1, first + 2]);
+    }
+    scene
+}
+
+#[test]
+fn many_faces_with_cutoffs_are_those_of_their_description() {
+    for (k, size) in SIZES.into_iter().enumerate() {
+        let scene = crowd(k as u64, size, 400);
+        for knum in [5, 1000] {
+            let (delta, cutoff) = (7000.0, KaolinCutoff { boxlen: 0.02, knum });
+            let mode = Mode::Dibr { delta, cutoff: Some(cutoff) };
+            let expected = kaolin(&scene, delta, cutoff);
+            let double = difference(&scene.draw::<f64>(mode), &expected);
+            let single = difference(&scene.draw::<f32>(mode), &expected);
+            assert!(double < 1e-10 && single < 1e-4, "{k}, {knum}: {double}, {single}");
+        }
+    }
+}
+
 #[test]
 fn boxes_may_be_wider_than_the_blur_and_the_image_large() {
     let size = Size { height: 330, width: 310 };
@@ -144,6 +178,7 @@ fn boxes_may_be_wider_than_the_blur_and_the_image_large() {
 fn gradients_with_cutoffs_are_those_of_the_mask() {
     let modes = [
         Mode::Dibr { delta: 700.0, cutoff: Some(KaolinCutoff { boxlen: 0.1, knum: 3 }) },
+        Mode::Dibr { delta: 700.0, cutoff: Some(KaolinCutoff { boxlen: 0.1, knum: 30 }) },
         Mode::Sigmoid {
             sigma: 1e-3,
             cutoff: Some(Pytorch3dCutoff { blur_radius: 7e-3, faces_per_pixel: 3 }),
