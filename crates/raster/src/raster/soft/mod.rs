@@ -136,7 +136,7 @@ impl Profile {
     /// How far a face reaches or is counted.
     fn widest(self, reach: f64) -> f64 {
         match self {
-            Self::Kaolin(delta, cutoff) => reach.max(cutoff.boxlen.powi(2) * delta),
+            Self::Kaolin(delta, cutoff) => cutoff.boxlen.powi(2) * delta,
             _ => reach,
         }
     }
