@@ -31,6 +31,7 @@ os.environ.setdefault("LP_NUM_THREADS", "0")  # llvmpipe draws in the calling th
 import numpy as np  # noqa: E402
 from render_peers import deodr, embree, llvmpipe_apart, naive_torch, opencv  # noqa: E402
 from render_scene import (  # noqa: E402
+    BOXES,
     KAOLIN,
     MODES,
     PYTORCH3D,
@@ -82,7 +83,7 @@ def ours(scene: Scene, seconds: float, threads: tuple[int, ...]) -> list[Row]:
             low, high = (1.0, 2.5) if name.startswith(("dibr", "sigmoid")) else (0.99, 1.01)
             check(like, area, low, high)
             # With cut-offs, the gradient leaves out what they do.
-            if backward and name not in (KAOLIN, PYTORCH3D):
+            if backward and name not in (KAOLIN, BOXES, PYTORCH3D):
                 check_gradient(scene, name)
             for n in threads:
                 ms = clock(work_of(scene, name, backward, n), count, seconds)

@@ -16,6 +16,7 @@ Array = np.ndarray
 FOV_FOCAL = 252.72 / 240.0
 SIGMA_NDC = 1e-4
 KAOLIN = "dibr, Kaolin's cut-offs"
+BOXES = "dibr, Kaolin's boxes alone"
 PYTORCH3D = "sigmoid, PyTorch3D's cut-offs"
 
 
@@ -148,6 +149,7 @@ MODES: dict[str, dict[str, Any]] = {
     "coverage, sigma 1": {"mode": "coverage", "sigma": 1.0},
     "dibr": {"mode": "dibr"},
     KAOLIN: {"mode": "dibr", "kaolin_cutoff": (0.02, 30)},
+    BOXES: {"mode": "dibr", "kaolin_cutoff": (0.02, None)},
     "sigmoid": {"mode": "sigmoid", "sigma_ndc": SIGMA_NDC},
     PYTORCH3D: {
         "mode": "sigmoid",

@@ -25,6 +25,7 @@ ALL = [
 SMOOTH = [options for options in ALL if options["mode"] != "hard"]
 CUTOFFS = [
     {"mode": "dibr", "delta": 30.0, "kaolin_cutoff": (0.3, 5)},
+    {"mode": "dibr", "delta": 30.0, "kaolin_cutoff": (0.3, None)},
     {"mode": "sigmoid", "sigma_ndc": 0.02, "pytorch3d_cutoff": (0.2, 5)},
 ]
 

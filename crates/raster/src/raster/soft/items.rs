@@ -4,10 +4,10 @@ use multiversion::multiversion;
 
 use super::faces::Block;
 use super::real::LANES;
-use super::visits::Visit;
+use super::visits::{MOST, Visit};
 
 /// Tiles of a visit.
-const WINDOW: usize = 64;
+const WINDOW: usize = MOST * MOST;
 
 /// A list is written in pieces of a visit, and ends anywhere in the last.
 const ROOM: usize = (LANES + 1) * WINDOW;
@@ -32,8 +32,8 @@ pub(super) struct Items {
     used: [u64; LANES],
     /// The place of the first tile among all, of each visit.
     first: [usize; LANES],
-    /// Tiles in a row of all.
-    stride: usize,
+    /// The place of each tile of a visit from the first on.
+    offset: [usize; WINDOW],
 }
 
 impl List {
@@ -61,38 +61,39 @@ impl List {
 }
 
 impl Items {
-    pub(super) const fn new() -> Self {
+    /// For tiles in rows of `stride`.
+    pub(super) fn new(stride: usize) -> Self {
         let (used, first) = ([0; LANES], [0; LANES]);
-        Self { one: List::new(), all: List::new(), used, first, stride: 0 }
+        let offset = std::array::from_fn(|tile| (tile / MOST) * stride + tile % MOST);
+        Self { one: List::new(), all: List::new(), used, first, offset }
     }
 
-    /// List the tiles of visits, in rows of `stride`, that are to be `seen`, apart where one edge alone
-    /// gives the distance.
+    /// List the tiles of visits that are to be `seen`, apart where one edge alone gives the distance.
     #[inline(always)]
     pub(super) fn find<R>(
         &mut self,
         visits: &[Visit],
-        stride: usize,
         block: &Block<R>,
         seen: impl Fn(usize) -> u64,
     ) {
-        self.set(visits, stride);
+        self.set(visits);
         for (lane, used) in self.used.iter_mut().enumerate() {
             *used &= seen(lane);
         }
         list(self, Some(&block.near.one));
     }
 
-    /// List the tiles of visits, in rows of `stride`.
+    /// List the tiles of visits.
     #[inline(always)]
-    pub(super) fn find_all(&mut self, visits: &[Visit], stride: usize) {
-        self.set(visits, stride);
+    pub(super) fn find_all(&mut self, visits: &[Visit]) {
+        self.set(visits);
         list(self, None);
     }
 
     #[inline(always)]
-    fn set(&mut self, visits: &[Visit], stride: usize) {
-        (self.stride, self.used) = (stride, [0; LANES]);
+    fn set(&mut self, visits: &[Visit]) {
+        let stride = self.offset[MOST];
+        self.used = [0; LANES];
         for ((visit, used), first) in visits.iter().zip(&mut self.used).zip(&mut self.first) {
             *used = visit.used;
             *first = usize::from(visit.row) * stride + usize::from(visit.column);
@@ -102,7 +103,7 @@ impl Items {
     /// The place of a visit's tile among all.
     #[inline(always)]
     pub(super) fn place(&self, record: usize, tile: usize) -> usize {
-        self.first[record % LANES] + (tile / 8) * self.stride + tile % 8
+        self.first[record % LANES] + self.offset[tile % WINDOW]
     }
 
     /// One face after another, a word of bits by `add`.
@@ -225,7 +226,7 @@ mod tests {
             })
         };
         for density in [0, 3, 15, 60, 100] {
-            let (mut wide, mut plain) = (Items::new(), Items::new());
+            let (mut wide, mut plain) = (Items::new(1), Items::new(1));
             wide.used = std::array::from_fn(|_| word(density));
             plain.used = wide.used;
             let one = [0; 3].map(|_: u64| std::array::from_fn(|_| word(30)));

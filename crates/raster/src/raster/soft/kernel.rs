@@ -100,11 +100,11 @@ fn draw_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     tiles: &mut Tiles<R>,
     visits: &[Visit],
 ) {
-    let (mut block, mut items) = (Block::new(), Items::new());
-    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    let (mut block, mut items) = (Block::new(), Items::new(tiles.rectangle.count[0]));
+    let places = Places::new(&source.units);
     for visits in visits.chunks(LANES) {
         block.load_near(source, visits, SIGMOID);
-        items.find(visits, stride, &block, |lane| {
+        items.find(visits, &block, |lane| {
             if SIGMOID && block.flat[lane] { 0 } else { block.near.all[lane] }
         });
         let mut list = items.one.iter();
@@ -146,7 +146,7 @@ pub(super) fn nearest<R: Real, const FMA: bool>(
     lane: usize,
     [x, y]: [&Lanes<R>; 2],
 ) -> Lanes<R> {
-    let mut nearest = Lanes::ZERO;
+    let (lane, mut nearest) = (lane % LANES, Lanes::ZERO);
     for l in 0..LANES {
         let (d0, _, _, _) = measure::<R, FMA>(block, lane, x[l], y[l]);
         let (d1, _, _, _) = measure::<R, FMA>(block, LANES + lane, x[l], y[l]);
@@ -163,6 +163,7 @@ fn draw_tile<R: Real, const FMA: bool, const SIGMOID: bool>(
     [x, y]: [&Lanes<R>; 2],
     values: &mut Lanes<R>,
 ) {
+    let lane = lane % LANES;
     for l in 0..LANES {
         let (d0, s0, _, _) = measure::<R, FMA>(block, lane, x[l], y[l]);
         let (d1, s1, _, _) = measure::<R, FMA>(block, LANES + lane, x[l], y[l]);
@@ -206,11 +207,11 @@ fn back_all<R: Real, const FMA: bool, const SIGMOID: bool>(
     out: [&mut [f64]; 2],
 ) {
     let [du, dv] = out;
-    let (mut block, mut items, mut sums) = (Block::new(), Items::new(), Sums::new());
-    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    let (mut block, mut items) = (Block::new(), Items::new(tiles.rectangle.count[0]));
+    let (places, mut sums) = (Places::new(&source.units), Sums::new());
     for visits in visits.chunks(LANES) {
         block.load_near(source, visits, SIGMOID);
-        items.find(visits, stride, &block, |lane| {
+        items.find(visits, &block, |lane| {
             if SIGMOID && block.flat[lane] { 0 } else { block.near.all[lane] }
         });
         sums.clear();

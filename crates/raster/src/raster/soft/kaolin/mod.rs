@@ -179,8 +179,9 @@ fn draw_all<R: Real, const FMA: bool, const COUNTED: bool>(
     tiles: &mut Tiles<R>,
     visits: &[Visit],
 ) {
-    let (mut block, mut items, mut cells) = (Block::new(), Items::new(), Cells::new());
-    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    let (mut block, mut cells) = (Block::new(), Cells::new());
+    let mut items = Items::new(tiles.rectangle.count[0]);
+    let places = Places::new(&source.units);
     let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
     if COUNTED {
         tiles.meet_nobody();
@@ -198,7 +199,7 @@ fn draw_all<R: Real, const FMA: bool, const COUNTED: bool>(
     for visits in visits.chunks(LANES) {
         block.load(source, visits);
         cells.set(source, boxes.bounds, visits);
-        items.find_all(visits, stride);
+        items.find_all(visits);
         let nearest = |lane, tile| kernel::nearest::<R, FMA>(&block, lane, places.of(tile));
         let place = |lane, tile| (items.place(lane, tile), cells.of(lane, tile));
         let mut list = items.all.iter();
@@ -223,9 +224,10 @@ fn back_all<R: Real, const FMA: bool, const COUNTED: bool>(
     factor: f64,
     [du, dv]: [&mut [f64]; 2],
 ) {
-    let (mut block, mut items, mut cells) = (Block::new(), Items::new(), Cells::new());
+    let (mut block, mut cells) = (Block::new(), Cells::new());
+    let mut items = Items::new(tiles.rectangle.count[0]);
     let (mut sums, mut counting) = (Sums::new(), Counting::new());
-    let (places, stride) = (Places::new(&source.units), tiles.rectangle.count[0]);
+    let places = Places::new(&source.units);
     let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
     if COUNTED {
         tiles.meet_nobody();
@@ -235,10 +237,10 @@ fn back_all<R: Real, const FMA: bool, const COUNTED: bool>(
         block.load_near(source, visits, true);
         cells.set(source, boxes.bounds, visits);
         if COUNTED {
-            items.find_all(visits, stride);
+            items.find_all(visits);
             counting.set(&cells, &items, met, most);
         }
-        items.find(visits, stride, &block, |_| u64::MAX);
+        items.find(visits, &block, |_| u64::MAX);
         let held =
             |lane, tile| Held(if COUNTED { counting.of(lane, tile) } else { cells.of(lane, tile) });
         sums.clear();
