@@ -62,6 +62,16 @@ struct Image<'a> {
     bounds: &'a [Bounds],
 }
 
+/// The loops over visits.
+enum Kernel<'a> {
+    Dibr,
+    Sigmoid,
+    /// Faces reach as far as their boxes.
+    Boxes(Boxes<'a>),
+    /// A pixel may meet too many of these.
+    Counted(Boxes<'a>),
+}
+
 /// Draw the mask; every pixel of `out` is written. With `traced`, its product, unless it is large.
 pub(super) fn draw<R: Real, T: Pixel>(
     profile: Profile,
@@ -143,22 +153,22 @@ pub(super) fn back<R: Real, T: Pixel>(
                 }
                 tiles.weigh(size, upstream, scale);
                 tiles.mark(R::ZERO);
-                let visits = visits.find(tiles, source.faces, image.bounds);
-                let out = [du, dv];
-                match profile {
-                    Profile::Dibr(_) => kernel::back::<R, false>(source, tiles, visits, scale, out),
-                    Profile::Kaolin(_, KaolinCutoff { knum, .. }) => {
-                        let boxes = Boxes { bounds: image.bounds, knum };
-                        if knum < source.faces.len() {
-                            kaolin::back::<R, true>(source, boxes, tiles, visits, scale, out);
-                        } else {
+                image.begin(tiles);
+                visits.each(tiles, source.faces, image.bounds, |tiles, visits| {
+                    let out = [&mut *du, &mut *dv];
+                    match image.kernel() {
+                        Kernel::Dibr => kernel::back::<R, false>(source, tiles, visits, scale, out),
+                        Kernel::Sigmoid => {
+                            kernel::back::<R, true>(source, tiles, visits, scale, out);
+                        }
+                        Kernel::Boxes(boxes) => {
                             kaolin::back::<R, false>(source, boxes, tiles, visits, scale, out);
                         }
+                        Kernel::Counted(boxes) => {
+                            kaolin::back::<R, true>(source, boxes, tiles, visits, scale, out);
+                        }
                     }
-                    Profile::Sigmoid(_) => {
-                        kernel::back::<R, true>(source, tiles, visits, scale, out)
-                    }
-                }
+                });
             });
         };
         if image.bands() == 1 {
@@ -242,18 +252,31 @@ impl Image<'_> {
         tiles.fill(self.size, R::ONE);
         tiles.cover(self.runs, self.size);
         tiles.mark(R::ZERO);
-        let visits = visits.find(tiles, source.faces, self.bounds);
+        self.begin(tiles);
+        visits.each(tiles, source.faces, self.bounds, |tiles, visits| match self.kernel() {
+            Kernel::Dibr => kernel::draw::<R, false>(source, tiles, visits),
+            Kernel::Sigmoid => kernel::draw::<R, true>(source, tiles, visits),
+            Kernel::Boxes(boxes) => kaolin::draw::<R, false>(source, boxes, tiles, visits),
+            Kernel::Counted(boxes) => kaolin::draw::<R, true>(source, boxes, tiles, visits),
+        });
+    }
+
+    /// Which loops to use.
+    fn kernel(&self) -> Kernel<'_> {
         match self.profile {
-            Profile::Dibr(_) => kernel::draw::<R, false>(source, tiles, visits),
+            Profile::Dibr(_) => Kernel::Dibr,
+            Profile::Sigmoid(_) => Kernel::Sigmoid,
             Profile::Kaolin(_, KaolinCutoff { knum, .. }) => {
                 let boxes = Boxes { bounds: self.bounds, knum };
-                if knum < source.faces.len() {
-                    kaolin::draw::<R, true>(source, boxes, tiles, visits);
-                } else {
-                    kaolin::draw::<R, false>(source, boxes, tiles, visits);
-                }
+                if knum < self.faces.len() { Kernel::Counted(boxes) } else { Kernel::Boxes(boxes) }
             }
-            Profile::Sigmoid(_) => kernel::draw::<R, true>(source, tiles, visits),
+        }
+    }
+
+    /// Before the first visit.
+    fn begin<R: Real>(&self, tiles: &mut Tiles<R>) {
+        if let Kernel::Counted(_) = self.kernel() {
+            tiles.meet_nobody();
         }
     }
 

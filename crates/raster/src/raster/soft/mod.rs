@@ -11,10 +11,10 @@
 //! The image is cut into tiles of 4x4 pixels, a lane each. Faces are measured in widths, so that
 //! `d^2` is the exponent itself, from an origin of their own, because single precision would lose
 //! thin differences of large coordinates. A tile is in use as long as a pixel of it is not known
-//! to be covered; every face visits those tiles in use that its bounding box reaches (see
-//! [`Profile::reach`]). Where one edge alone gives the distance to a face all over a tile, it alone
-//! is measured (see `nearest`). Sixteen faces list their tiles first (see `items`), and are measured
-//! in loops over the lists, which end where processors foresee it. The product is all that is kept,
+//! to be covered; every face visits those tiles in use that its bounding box reaches (see `visits` and
+//! [`Profile::reach`]), up to 8x8 at a time. Where one edge alone gives the distance to a face all over
+//! a tile, it alone is measured (see `nearest`). Sixteen visits list their tiles first (see `items`),
+//! and are measured in loops over the lists, which end where processors foresee it. The product is all that is kept,
 //! so memory is that of the image, and the gradient measures again: `dS/dp_k` is the product over
 //! the others, taken as the whole one divided by the very factor that went into it, which was kept
 //! away from 0.
@@ -133,7 +133,7 @@ impl Profile {
         (density / MOST_LEFT_OUT).ln().clamp(R::REACH, R::FURTHEST)
     }
 
-    /// How far a face reaches or is counted.
+    /// How far a face reaches, or its box.
     fn widest(self, reach: f64) -> f64 {
         match self {
             Self::Kaolin(delta, cutoff) => cutoff.boxlen.powi(2) * delta,

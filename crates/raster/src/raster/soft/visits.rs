@@ -57,18 +57,27 @@ const FIRST: [[u64; MOST + 1]; 2] = {
 };
 
 impl Visits {
-    /// Those to the tiles in use, in the order of the faces; `bounds` are those of the image points.
-    pub(super) fn find<R: Real>(
+    /// Call `work` with those to the tiles in use, in the order of the faces, some at a time; `bounds`
+    /// are those of the image points.
+    pub(super) fn each<R: Real>(
         &mut self,
-        tiles: &Tiles<R>,
+        tiles: &mut Tiles<R>,
         faces: &[[u32; 3]],
         bounds: &[Bounds],
-    ) -> &[Visit] {
+        mut work: impl FnMut(&mut Tiles<R>, &[Visit]),
+    ) {
         into_tiles(&tiles.rectangle, bounds, &mut self.bounds);
-        let found = find(tiles, faces, &self.bounds, &mut self.visits);
-        &self.visits[..found]
+        let mut first = 0;
+        while first < faces.len() {
+            let found = find(tiles, faces, &self.bounds, &mut first, &mut self.visits);
+            work(tiles, &self.visits[..found]);
+        }
     }
 }
+
+/// So many visits are enough to begin to work on them. Each of sixteen faces may visit all tiles
+/// besides.
+const ENOUGH: usize = 2048;
 
 #[multiversion(targets("x86_64+avx512f+avx512vl+avx512dq+avx512bw+avx2+fma", "x86_64+avx2+fma"))]
 fn into_tiles(rectangle: &Rectangle, bounds: &[Bounds], out: &mut Vec<Tiled>) {
@@ -85,16 +94,21 @@ fn into_tiles(rectangle: &Rectangle, bounds: &[Bounds], out: &mut Vec<Tiled>) {
     }
 }
 
-/// Write the visits to the front of `visits`; how many they are.
+/// Write visits of the faces from `first` on to the front of `visits`; how many they are. The next
+/// ones begin with face `first` then.
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2"))]
 fn find<R: Real>(
     tiles: &Tiles<R>,
     faces: &[[u32; 3]],
     bounds: &[Tiled],
+    first: &mut usize,
     visits: &mut Vec<Visit>,
 ) -> usize {
     let mut found = 0;
-    for (chunk, faces) in faces.chunks(LANES).enumerate() {
+    for faces in faces[*first..].chunks(LANES) {
+        if found >= ENOUGH {
+            break;
+        }
         let mut of_faces = [[0; 4]; LANES];
         for (out, face) in of_faces.iter_mut().zip(faces) {
             let [a, b, c] = face.map(|k| &bounds[k as usize]);
@@ -106,7 +120,7 @@ fn find<R: Real>(
             visits.resize(2 * (found + LANES), Visit::default());
         }
         for (lane, [column, row, right, bottom]) in of_faces[..faces.len()].iter().enumerate() {
-            let face = (LANES * chunk + lane) as u32;
+            let face = (*first + lane) as u32;
             let (columns, rows) = (-right - column, -bottom - row);
             if columns <= 0 || rows <= 0 {
                 continue;
@@ -134,6 +148,7 @@ fn find<R: Real>(
                 }
             }
         }
+        *first += faces.len();
     }
     found
 }

@@ -5,8 +5,10 @@
 //! - Any other multiplies, in the order of their index, the first `knum` faces, of either winding,
 //!   whose bounding box grown by `boxlen` holds its centre.
 //!
-//! Which pixels are in a face or its box is decided in `f64` by the expressions of the original, so
-//! that the same faces are counted; coordinates are multiplied by 1000 as `DIBRenderer` does.
+//! Which pixels are in the box of a face is decided in `f64` by the expressions of the original, so
+//! that the same faces are counted; coordinates are multiplied by 1000 as `DIBRenderer` does. So is
+//! which pixels are in a face where a centre may be on an edge that bounds the faces with `n_z >= 0`;
+//! elsewhere they are those of any point-sampled mask (see `cover`).
 //! Distances are those of the exact mask. The gradient treats boxes, counts and the pixels inside
 //! as constant, as the original's does.
 
@@ -183,9 +185,6 @@ fn draw_all<R: Real, const FMA: bool, const COUNTED: bool>(
     let mut items = Items::new(tiles.rectangle.count[0]);
     let places = Places::new(&source.units);
     let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
-    if COUNTED {
-        tiles.meet_nobody();
-    }
     let Tiles { values, met, .. } = tiles;
     let mut draw = |nearest: &Lanes<R>, at: usize, pixels: u32| {
         let values = &mut values[at];
@@ -229,9 +228,6 @@ fn back_all<R: Real, const FMA: bool, const COUNTED: bool>(
     let (mut sums, mut counting) = (Sums::new(), Counting::new());
     let places = Places::new(&source.units);
     let most = i32::try_from(boxes.knum).unwrap_or(i32::MAX);
-    if COUNTED {
-        tiles.meet_nobody();
-    }
     let Tiles { values, met, .. } = tiles;
     for visits in visits.chunks(LANES) {
         block.load_near(source, visits, true);
