@@ -141,7 +141,7 @@ mod tests {
             seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             (seed >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
         };
-        let (mut given, mut open) = (0, 0);
+        let (mut given, mut open, mut level) = (0, 0, 0);
         for round in 0..400 {
             let (sin, cos) = (3.0 * next()).sin_cos();
             let view = View {
@@ -163,6 +163,9 @@ mod tests {
                     std::array::from_fn(|j| vertices[k][j] + 0.1 * s * along(j) + t * across(j));
                 faces.push([k as u32, k as u32 + 1, k as u32 + 2]);
             }
+            // Upright: the rotation is about z.
+            vertices[59] = [vertices[58][0], vertices[58][1], next()];
+            faces.push([57, 58, 59]);
             let model = Model::new(&vertices, &faces).expect("valid");
             let shift = f64::from(round % 7);
             let mut screen = Screen::default();
@@ -181,7 +184,16 @@ mod tests {
                 }
                 given += usize::from(*sign != 0);
             }
+            model.planes().leanings(facing, &mut signs);
+            for (leaning, face) in signs.iter().zip(&faces) {
+                match leaning {
+                    0 => level += 1,
+                    1 => assert!(!screen.is_front(*face)),
+                    _ => assert!(screen.is_front(*face)),
+                }
+            }
         }
         assert!(given > 10 * open && open > 0, "{given} given, {open} open");
+        assert!(given > 10 * level && level > 0, "{given} given, {level} level");
     }
 }
