@@ -21,7 +21,7 @@ pub(super) fn of_face(bounds: &[Bounds], face: [u32; 3]) -> Bounds {
 /// A face and up to 8x8 tiles within its bounds.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Visit {
-    /// Those in use, at least one: bit `8 row + column`.
+    /// Those in use, at least one: bit `8 row + column`. Bounds that hold no pixel may still lie in a tile.
     pub(super) used: u64,
     pub(super) face: u32,
     /// The first of them.
@@ -187,4 +187,78 @@ fn first_from(x: f64, n: f64) -> i32 {
     let x = if x > 0.0 { x } else { 0.0 };
     let x = if x < n { x } else { n };
     (x + 0.499_999 + ROUND_DOUBLE).to_bits() as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::real::Lanes;
+    use super::*;
+
+    fn noise(seed: u64) -> impl FnMut(u64) -> usize {
+        let mut state = seed;
+        move |n| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            ((state >> 33) % n) as usize
+        }
+    }
+
+    #[test]
+    fn every_tile_in_use_within_bounds_is_visited_once_in_the_order_of_the_faces() {
+        for seed in 0..60 {
+            let mut next = noise(seed);
+            let count = [1 + next(30), 1 + next(40)];
+            let first = [next(5), next(5)];
+            let mut tiles = Tiles::<f32>::default();
+            tiles.rectangle = Rectangle { first, count };
+            let share = [1, 3, 30][next(3)];
+            tiles.values = (0..count[0] * count[1])
+                .map(|_| Lanes([if next(share) == 0 { 1.0 } else { 0.0 }; LANES]))
+                .collect();
+            tiles.mark(0.0);
+            // Points within a few pixels of the image, or far outside of it.
+            let sides = [0, 1].map(|axis| (SIDE * (first[axis] + count[axis])) as i32);
+            let bounds: Vec<Bounds> = (0..50)
+                .map(|_| {
+                    let [x, y] = sides.map(|side| next(side as u64 + 40) as i32 - 20);
+                    let reach = 1 + next(20) as i32;
+                    [x - reach, y - reach, -(x + reach), -(y + reach)]
+                })
+                .collect();
+            // More of them than are visited at a time.
+            let faces: Vec<[u32; 3]> =
+                (0..3000).map(|_| std::array::from_fn(|_| next(50) as u32)).collect();
+
+            let mut visits = Visits::default();
+            let (mut found, mut parts) = (Vec::new(), 0);
+            visits.each(&mut tiles, &faces, &bounds, |_, visits| {
+                parts += 1;
+                for visit in visits {
+                    assert!(visit.used != 0);
+                    for bit in (0..64).filter(|bit| visit.used >> bit & 1 == 1) {
+                        let (column, row) = (bit % MOST, bit / MOST);
+                        let column = usize::from(visit.column) + column;
+                        found.push((visit.face, usize::from(visit.row) + row, column));
+                    }
+                }
+            });
+            assert!(found.is_sorted_by_key(|tile| tile.0) && parts > 0);
+            found.sort_unstable();
+
+            let mut expected = Vec::new();
+            for (face, corners) in faces.iter().enumerate() {
+                let [left, top, right, bottom] = of_face(&bounds, *corners);
+                for (at, value) in tiles.values.iter().enumerate() {
+                    let (row, column) = (at / count[0], at % count[0]);
+                    let [x, y] =
+                        [first[0] + column, first[1] + row].map(|tile| (SIDE * tile) as i32);
+                    let side = SIDE as i32;
+                    let meets = left < x + side && -right > x && top < y + side && -bottom > y;
+                    if meets && value[0] > 0.0 {
+                        expected.push((face as u32, row, column));
+                    }
+                }
+            }
+            assert!(found == expected, "{seed}: {} of {}", found.len(), expected.len());
+        }
+    }
 }
