@@ -176,7 +176,8 @@ impl Real for f32 {
         (self + 0.4999 + ROUND_SINGLE).to_bits().wrapping_sub(ROUND_SINGLE.to_bits())
     }
 
-    /// `2^n 2^r`, `2^r` as a polynomial of relative error 8e-8 over `|r| <= 1/2`.
+    /// `2^n 2^r`, `2^r` as a polynomial of relative error 3e-6 over `|r| <= 1/2`, which is 1 at 0: a
+    /// tenth of what a mask may be off, however many faces a pixel meets.
     #[inline(always)]
     fn exp2_negative<const FMA: bool>(self) -> Self {
         let y = self.least(120.0);
@@ -184,10 +185,10 @@ impl Real for f32 {
         let r = (ROUND_SINGLE - shifted) - y;
         // In pairs: a shorter chain of operations that wait for one another.
         let square = r * r;
-        let low = 0.693_146_94_f32.fused::<FMA>(r, 1.000_000_1);
-        let middle = 0.055_507_135_f32.fused::<FMA>(r, 0.240_221_2);
-        let high = 0.001_327_646_f32.fused::<FMA>(r, 0.009_675_542);
-        let p = high.fused::<FMA>(square, middle).fused::<FMA>(square, low);
+        let low = 0.693_124_2_f32.fused::<FMA>(r, 1.0);
+        let high = 0.055_906_426_f32.fused::<FMA>(r, 0.240_240_99);
+        let high = 0.009_582_854_f32.fused::<FMA>(square, high);
+        let p = high.fused::<FMA>(square, low);
         Self::from_bits(p.to_bits().wrapping_add(shifted.to_bits() << 23))
     }
 }
@@ -250,7 +251,8 @@ mod tests {
             let exact = (-x).exp2();
             assert!((x.exp2_negative::<false>() / exact - 1.0).abs() < 1e-15, "{x}");
             let single = f64::from((x as f32).exp2_negative::<false>());
-            assert!((single - (-f64::from(x as f32)).exp2()).abs() < 2e-7, "{x}");
+            let exact = (-f64::from(x as f32)).exp2();
+            assert!((single / exact - 1.0).abs() < 3e-6, "{x}");
         }
         assert!(
             1e30_f32.exp2_negative::<false>() < 1e-30 && 1e300.exp2_negative::<false>() < 1e-200

@@ -11,11 +11,13 @@ use crate::raster::{Screen, Size};
 /// corners.
 pub(super) type Bounds = [i32; 4];
 
-/// The bounds of a face from those of the image points.
+/// The bounds of a face from those of the image points, written at once where they are kept.
 #[inline(always)]
-pub(super) fn of_face(bounds: &[Bounds], face: [u32; 3]) -> Bounds {
+pub(super) fn of_face<T: Copy + Ord>(bounds: &[[T; 4]], face: [u32; 3], out: &mut [T; 4]) {
     let [a, b, c] = face.map(|k| &bounds[k as usize]);
-    [0, 1, 2, 3].map(|k| a[k].min(b[k]).min(c[k]))
+    for k in 0..4 {
+        out[k] = a[k].min(b[k]).min(c[k]);
+    }
 }
 
 /// A face and up to 8x8 tiles within its bounds.
@@ -111,10 +113,7 @@ fn find<R: Real>(
         }
         let mut of_faces = [[0; 4]; LANES];
         for (out, face) in of_faces.iter_mut().zip(faces) {
-            let [a, b, c] = face.map(|k| &bounds[k as usize]);
-            for k in 0..4 {
-                out[k] = a[k].min(b[k]).min(c[k]);
-            }
+            of_face(bounds, *face, out);
         }
         if visits.len() < found + LANES {
             visits.resize(2 * (found + LANES), Visit::default());
@@ -246,7 +245,9 @@ mod tests {
 
             let mut expected = Vec::new();
             for (face, corners) in faces.iter().enumerate() {
-                let [left, top, right, bottom] = of_face(&bounds, *corners);
+                let mut of = [0; 4];
+                of_face(&bounds, *corners, &mut of);
+                let [left, top, right, bottom] = of;
                 for (at, value) in tiles.values.iter().enumerate() {
                     let (row, column) = (at / count[0], at % count[0]);
                     let [x, y] =

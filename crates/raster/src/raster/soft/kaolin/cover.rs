@@ -42,7 +42,8 @@ fn cover_exactly(model: &Model, screen: &Screen, points: &Points, size: Size, ru
         let mut boxes = [([0; 4], [0; 3]); LANES];
         let mut kept = 0;
         for face in faces {
-            let bounds = of_face(&points.held, *face);
+            let mut bounds = [0; 4];
+            of_face(&points.held, *face, &mut bounds);
             boxes[kept] = (bounds, *face);
             let front = screen.is_front(*face);
             kept += usize::from(front & (bounds[0] < -bounds[2]) & (bounds[1] < -bounds[3]));

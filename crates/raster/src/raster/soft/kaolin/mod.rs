@@ -25,7 +25,7 @@ use super::kernel::{self, Held, Measured, Pixels};
 use super::real::{BIT, LANES, Lanes, Real};
 use super::sums::Sums;
 use super::tiles::{Places, SIDE, Tiles};
-use super::visits::{Bounds, MOST, Visit};
+use super::visits::{Bounds, MOST, Visit, of_face};
 
 /// The boxes of faces, and how many a pixel counts.
 #[derive(Debug, Clone, Copy)]
@@ -35,27 +35,33 @@ pub(super) struct Boxes<'a> {
     pub(super) knum: usize,
 }
 
-/// The pixels of their tiles that the boxes of visits hold, a bit each.
+/// The pixels that the boxes of visits hold: a bit for each column and row from the first tile on.
 struct Cells {
-    /// Those in its columns, for each column of tiles and visit.
-    columns: [[u32; LANES]; MOST],
-    /// Those in its rows, for each row of tiles.
-    rows: [[u32; LANES]; MOST],
+    columns: [u32; LANES],
+    rows: [u32; LANES],
 }
+
+/// The first pixel of each row of a tile, for rows as the bits of an index.
+const ROWS: [u16; 1 << SIDE] = {
+    let mut rows = [0; 1 << SIDE];
+    let mut n = 0;
+    while n < rows.len() {
+        rows[n] = (n & 1 | (n & 2) << 3 | (n & 4) << 6 | (n & 8) << 9) as u16;
+        n += 1;
+    }
+    rows
+};
 
 impl Cells {
     const fn new() -> Self {
-        Self { columns: [[0; LANES]; MOST], rows: [[0; LANES]; MOST] }
+        Self { columns: [0; LANES], rows: [0; LANES] }
     }
 
     #[inline(always)]
     fn set(&mut self, source: &Source<'_>, bounds: &[Bounds], visits: &[Visit]) {
         let mut boxes = [[0; 4]; LANES];
         for (out, visit) in boxes.iter_mut().zip(visits) {
-            let [a, b, c] = source.faces[visit.face as usize].map(|k| &bounds[k as usize]);
-            for k in 0..4 {
-                out[k] = a[k].min(b[k]).min(c[k]);
-            }
+            of_face(bounds, source.faces[visit.face as usize], out);
         }
         let [x, y] = source.rectangle.first.map(|tile| tile as i32);
         let mut sides = [[0; LANES]; 4];
@@ -68,24 +74,25 @@ impl Cells {
             sides[3][lane] = -bounds[3] - row;
         }
         let [left, right, top, bottom] = sides;
-        for tile in 0..MOST {
-            let first = (SIDE * tile) as i32;
-            for l in 0..LANES {
-                let (from, to) = within(left[l] - first, right[l] - first);
-                let four = (0xF << from) & (0xF >> (4 - to));
-                let eight = four | four << 4;
-                self.columns[tile][l] = eight | eight << 8;
-                let (from, to) = within(top[l] - first, bottom[l] - first);
-                self.rows[tile][l] = (0xFFFF << (4 * from)) & (0xFFFF >> (16 - 4 * to));
-            }
+        for l in 0..LANES {
+            self.columns[l] = below(right[l]) & !below(left[l]);
+            self.rows[l] = below(bottom[l]) & !below(top[l]);
         }
     }
 
+    /// Those of a tile, a bit each.
     #[inline(always)]
     fn of(&self, lane: usize, tile: usize) -> u32 {
-        let columns = self.columns[tile % MOST][lane % LANES];
-        columns & self.rows[tile / MOST % MOST][lane % LANES]
+        let four = |bits: u32, tile: usize| (bits >> (SIDE * (tile % MOST))) & 0xF;
+        let columns = four(self.columns[lane % LANES], tile);
+        columns * u32::from(ROWS[four(self.rows[lane % LANES], tile / MOST) as usize])
     }
+}
+
+/// The first so many bits.
+#[inline(always)]
+fn below(bits: i32) -> u32 {
+    if bits < 32 { (1 << bits.max(0)) - 1 } else { u32::MAX }
 }
 
 /// Those of them that count, of all tiles of the visits.
@@ -119,13 +126,6 @@ impl Counting {
     fn of(&self, lane: usize, tile: usize) -> u32 {
         u32::from(self.pixels[lane % LANES][tile % (MOST * MOST)])
     }
-}
-
-/// As pixels of a tile, none of them where the end is before the beginning.
-#[inline(always)]
-fn within(from: i32, to: i32) -> (u32, u32) {
-    let clamp = |n: i32| n.max(0).min(SIDE as i32) as u32;
-    (clamp(from), clamp(to))
 }
 
 /// Pixels of a tile that have met less than `most` faces so far; asked for, they have met one more.
