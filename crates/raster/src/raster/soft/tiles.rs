@@ -111,7 +111,7 @@ pub(super) struct Tiles<R> {
     /// Faces that the pixels have met, where these are counted.
     pub(super) met: Vec<[i32; LANES]>,
     /// Whether each of the eight tiles from `(c, r)` on to the right is in use, a bit each, at
-    /// `c * stride + r`.
+    /// `c * stride + r`; the column after the last one has none.
     eights: Vec<u8>,
 }
 
@@ -210,7 +210,7 @@ impl<R: Real> Tiles<R> {
     pub(super) fn mark(&mut self, least: R) {
         let (columns, stride) = (self.rectangle.count[0], self.stride());
         self.eights.clear();
-        self.eights.resize(columns * stride, 0);
+        self.eights.resize((columns + 1) * stride, 0);
         for (row, tiles) in self.values.chunks_exact(columns).enumerate() {
             for (column, tile) in tiles.iter().enumerate() {
                 let mut most = R::ZERO;
@@ -233,7 +233,8 @@ impl<R: Real> Tiles<R> {
         self.rectangle.count[1] + MOST
     }
 
-    /// The tiles in use among 8x8 from a corner on that is one of them: bit `8 row + column`.
+    /// The tiles in use among 8x8 from a corner on that is one of them, or next to the last ones: bit
+    /// `8 row + column`.
     #[inline(always)]
     pub(super) fn used(&self, column: usize, row: usize) -> u64 {
         let at = column * self.stride() + row;

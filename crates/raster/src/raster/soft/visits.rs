@@ -118,36 +118,47 @@ fn find<R: Real>(
         if visits.len() < found + LANES {
             visits.resize(2 * (found + LANES), Visit::default());
         }
-        for (lane, [column, row, right, bottom]) in of_faces[..faces.len()].iter().enumerate() {
+        for (lane, bounds) in of_faces[..faces.len()].iter().enumerate() {
             let face = (*first + lane) as u32;
-            let (columns, rows) = (-right - column, -bottom - row);
-            if columns <= 0 || rows <= 0 {
+            let [column, row, right, bottom] = *bounds;
+            let count = [-right - column, -bottom - row].map(|n| n.max(0) as usize);
+            if count[0].max(count[1]) > MOST {
+                found = many(tiles, (face, [column, row].map(|n| n as u16), count), found, visits);
                 continue;
             }
-            let (columns, rows) = (columns as usize, rows as usize);
-            let (column, row) = (*column as u16, *row as u16);
-            let used = tiles.used(column.into(), row.into());
-            if columns.max(rows) <= MOST {
-                let used = used & FIRST[0][columns] & FIRST[1][rows];
-                visits[found] = Visit { used, face, column, row };
-                found += usize::from(used != 0);
-                continue;
-            }
-            for down in (0..rows).step_by(MOST) {
-                for across in (0..columns).step_by(MOST) {
-                    let (column, row) = (column + across as u16, row + down as u16);
-                    let used = tiles.used(column.into(), row.into())
-                        & FIRST[0][(columns - across).min(MOST)]
-                        & FIRST[1][(rows - down).min(MOST)];
-                    visits[found] = Visit { used, face, column, row };
-                    found += usize::from(used != 0);
-                    if visits.len() < found + LANES {
-                        visits.resize(2 * (found + LANES), Visit::default());
-                    }
-                }
-            }
+            let visit = Visit { used: 0, face, column: column as u16, row: row as u16 };
+            let used = tiles.used(visit.column.into(), visit.row.into());
+            let used = used & FIRST[0][count[0]] & FIRST[1][count[1]];
+            visits[found] = Visit { used, ..visit };
+            found += usize::from(used != 0);
         }
         *first += faces.len();
+    }
+    found
+}
+
+/// As [`find`], of a face with more tiles than a visit has; room for the next ones is left. A call of
+/// its own, for these are rare and `find` is short of registers.
+#[cold]
+#[inline(never)]
+fn many<R: Real>(
+    tiles: &Tiles<R>,
+    (face, first, count): (u32, [u16; 2], [usize; 2]),
+    mut found: usize,
+    visits: &mut Vec<Visit>,
+) -> usize {
+    for down in (0..count[1]).step_by(MOST) {
+        for across in (0..count[0]).step_by(MOST) {
+            let (column, row) = (first[0] + across as u16, first[1] + down as u16);
+            let used = tiles.used(column.into(), row.into())
+                & FIRST[0][(count[0] - across).min(MOST)]
+                & FIRST[1][(count[1] - down).min(MOST)];
+            visits[found] = Visit { used, face, column, row };
+            found += usize::from(used != 0);
+            if visits.len() < found + LANES {
+                visits.resize(2 * (found + LANES), Visit::default());
+            }
+        }
     }
     found
 }
