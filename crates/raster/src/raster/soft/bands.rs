@@ -11,7 +11,7 @@ use super::faces::Source;
 use super::kaolin::{self, Boxes};
 use super::real::{LANES, Lanes, Real};
 use super::tiles::{Rectangle, Run, SIDE, Tiles, Units};
-use super::visits::{self, Bounds, Visits};
+use super::visits::{self, Bounds, Visit, Visits};
 use super::{Profile, kernel};
 use crate::raster::outline::Faces;
 use crate::raster::{Background, KaolinCutoff, Model, Pixel, Screen, Size, add_in_order, hard};
@@ -152,9 +152,7 @@ pub(super) fn back<R: Real, T: Pixel>(
                     image.multiply(source, tiles, visits);
                 }
                 tiles.weigh(size, upstream, scale);
-                tiles.mark(R::ZERO);
-                image.begin(tiles);
-                visits.each(tiles, source.faces, image.bounds, |tiles, visits| {
+                image.visit(tiles, visits, |tiles, visits| {
                     let out = [&mut *du, &mut *dv];
                     match image.kernel() {
                         Kernel::Dibr => kernel::back::<R, false>(source, tiles, visits, scale, out),
@@ -251,9 +249,7 @@ impl Image<'_> {
     fn multiply<R: Real>(&self, source: &Source<'_>, tiles: &mut Tiles<R>, visits: &mut Visits) {
         tiles.fill(self.size, R::ONE);
         tiles.cover(self.runs, self.size);
-        tiles.mark(R::ZERO);
-        self.begin(tiles);
-        visits.each(tiles, source.faces, self.bounds, |tiles, visits| match self.kernel() {
+        self.visit(tiles, visits, |tiles, visits| match self.kernel() {
             Kernel::Dibr => kernel::draw::<R, false>(source, tiles, visits),
             Kernel::Sigmoid => kernel::draw::<R, true>(source, tiles, visits),
             Kernel::Boxes(boxes) => kaolin::draw::<R, false>(source, boxes, tiles, visits),
@@ -273,11 +269,18 @@ impl Image<'_> {
         }
     }
 
-    /// Before the first visit.
-    fn begin<R: Real>(&self, tiles: &mut Tiles<R>) {
+    /// Call `work` with the visits of the faces to the tiles that are not 0, some at a time.
+    fn visit<R: Real>(
+        &self,
+        tiles: &mut Tiles<R>,
+        visits: &mut Visits,
+        work: impl FnMut(&mut Tiles<R>, &[Visit]),
+    ) {
+        tiles.mark();
         if let Kernel::Counted(_) = self.kernel() {
             tiles.meet_nobody();
         }
+        visits.each(tiles, self.faces, self.bounds, work);
     }
 
     /// The largest size of a number of the tiles' part of an image.

@@ -206,8 +206,8 @@ impl<R: Real> Tiles<R> {
         }
     }
 
-    /// The tiles in use are those where a pixel is larger than `least`, in size.
-    pub(super) fn mark(&mut self, least: R) {
+    /// The tiles in use are those where a pixel is not 0.
+    pub(super) fn mark(&mut self) {
         let (columns, stride) = (self.rectangle.count[0], self.stride());
         self.eights.clear();
         self.eights.resize((columns + 1) * stride, 0);
@@ -217,7 +217,7 @@ impl<R: Real> Tiles<R> {
                 for t in &**tile {
                     most = most.most(t.abs());
                 }
-                self.eights[column * stride + row] = u8::from(most > least);
+                self.eights[column * stride + row] = u8::from(most > R::ZERO);
             }
         }
         for column in (1..columns).rev() {

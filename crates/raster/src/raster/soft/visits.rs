@@ -224,7 +224,7 @@ mod tests {
             tiles.values = (0..count[0] * count[1])
                 .map(|_| Lanes([if next(share) == 0 { 1.0 } else { 0.0 }; LANES]))
                 .collect();
-            tiles.mark(0.0);
+            tiles.mark();
             // Points within a few pixels of the image, or far outside of it.
             let sides = [0, 1].map(|axis| (SIDE * (first[axis] + count[axis])) as i32);
             let bounds: Vec<Bounds> = (0..50)

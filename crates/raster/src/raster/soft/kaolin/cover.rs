@@ -42,9 +42,9 @@ fn cover_exactly(model: &Model, screen: &Screen, points: &Points, size: Size, ru
         let mut boxes = [([0; 4], [0; 3]); LANES];
         let mut kept = 0;
         for face in faces {
-            let mut bounds = [0; 4];
-            of_face(&points.held, *face, &mut bounds);
-            boxes[kept] = (bounds, *face);
+            let (bounds, of) = &mut boxes[kept];
+            of_face(&points.held, *face, bounds);
+            *of = *face;
             let front = screen.is_front(*face);
             kept += usize::from(front & (bounds[0] < -bounds[2]) & (bounds[1] < -bounds[3]));
         }

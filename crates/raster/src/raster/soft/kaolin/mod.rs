@@ -92,7 +92,7 @@ impl Cells {
 /// The first so many bits.
 #[inline(always)]
 fn below(bits: i32) -> u32 {
-    if bits < 32 { (1 << bits.max(0)) - 1 } else { u32::MAX }
+    !u32::MAX.unbounded_shl(bits.max(0) as u32)
 }
 
 /// Those of them that count, of all tiles of the visits.
