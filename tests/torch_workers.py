@@ -1,4 +1,6 @@
-"""What a data loader's workers run: a module that they can import, whatever started them."""
+"""What other processes run: a module that they can import, whatever started them."""
+
+import importlib
 
 import torch
 
@@ -25,3 +27,8 @@ class Masks(torch.utils.data.Dataset):
         mask = self.render(torch.eye(3)[None], t, K)
         mask.square().sum().backward()
         return mask[0].detach(), t.grad[0]
+
+
+def elsewhere(name, given):
+    """Call a function of ``torch_elsewhere``, which gives the process one more device."""
+    return getattr(importlib.import_module("torch_elsewhere"), name)(*given)
