@@ -10,8 +10,7 @@ use std::hint::black_box;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use dronepose_raster::Pose;
+use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use dronepose_raster::camera::Intrinsics;
 use dronepose_raster::metrics::add::{add, add_below, add_bounds};
 use dronepose_raster::metrics::adds::adds;
@@ -20,6 +19,7 @@ use dronepose_raster::metrics::mspd::projection_errors;
 use dronepose_raster::metrics::mssd::mssd;
 use dronepose_raster::metrics::symmetry::Symmetries;
 use dronepose_raster::metrics::vertices::VertexSet;
+use dronepose_raster::{Mesh, Pose};
 use glam::{DQuat, DVec3};
 
 use self::noise::Noise;
@@ -191,6 +191,25 @@ fn with_symmetries(c: &mut Criterion) {
     }
 }
 
+/// What is done once for a mesh, of the largest that people bring.
+fn preparations(c: &mut Criterion) {
+    let mut noise = Noise(5);
+    let mut directions =
+        |count: usize| -> Vec<DVec3> { (0..count).map(|_| noise.vector().normalize()).collect() };
+    let (sphere, large) = (directions(20_000), directions(100_000));
+    let mut group = c.benchmark_group("prepare");
+    group.sample_size(10);
+    // Every vertex is a corner of the hull: the worst case.
+    group.bench_function("diameter/20000", |b| {
+        let mesh = || Mesh::new(sphere.clone(), vec![]).expect("valid");
+        b.iter_batched_ref(mesh, |mesh| black_box(mesh.diameter()), BatchSize::PerIteration);
+    });
+    group.bench_function("adds/100000", |b| {
+        b.iter(|| black_box(VertexSet::new(&large).expect("points").nearest().bytes()));
+    });
+    group.finish();
+}
+
 fn threads(c: &mut Criterion) {
     let set = VertexSet::new(&model()).expect("points");
     set.nearest();
@@ -220,6 +239,6 @@ criterion_group! {
     config = Criterion::default()
         .measurement_time(Duration::from_secs(2))
         .warm_up_time(Duration::from_millis(500));
-    targets = in_space, with_symmetries, threads
+    targets = in_space, with_symmetries, preparations, threads
 }
 criterion_main!(benches);

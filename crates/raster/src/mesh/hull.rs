@@ -216,8 +216,6 @@ fn prune(kept: &mut Vec<u32>, points: &[DVec3], facets: &[Facet]) {
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "that results are exact is what is tested")]
 mod tests {
-    use std::time::Instant;
-
     use proptest::prelude::*;
 
     use super::*;
@@ -302,18 +300,11 @@ mod tests {
     }
 
     #[test]
-    fn a_sphere_of_20_000_vertices_takes_less_than_a_second() {
+    fn a_sphere_of_20_000_vertices_has_its_diameter() {
+        // All of them are corners of the hull: `cargo bench --bench metrics` has the time.
         let mesh = Mesh::new(sphere(20_000), vec![]).expect("valid");
-        let start = Instant::now();
         let diameter = mesh.diameter();
-        let seconds = start.elapsed().as_secs_f64();
         assert!(diameter <= 2.0 && diameter > 1.9999, "{diameter}");
-        // The time is that of an optimised build.
-        assert!(cfg!(debug_assertions) || seconds < 1.0, "{seconds}");
-        #[expect(clippy::print_stdout, reason = "shown with --nocapture")]
-        {
-            println!("20 000 on a sphere: {seconds:.3} s");
-        }
     }
 
     #[test]

